@@ -144,12 +144,8 @@ def material_properties(name: str, material: Json) -> Properties:
     Raises:
         LumitreeError: LuxCore has no equal of the material.
     """
-    from lumitree.output.optics import (
-        normal_reflectance,
-        plastic_index,
-        principled_index,
-        relative_index,
-    )
+    from lumitree.lamp.conductors import normal_reflectance
+    from lumitree.output.optics import plastic_index, principled_index, relative_index
 
     kind, prefix = material["type"], f"scene.materials.{name}"
     own: Properties

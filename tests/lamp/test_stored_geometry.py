@@ -43,6 +43,9 @@ SURFACES = {
     '<float name="alpha" value="0.3"/></bsdf>',
     "principled": '<bsdf type="principled"><rgb name="base_color" value="0.8,0.2,0.1"/>'
     '<float name="metallic" value="0.4"/><float name="roughness" value="0.3"/></bsdf>',
+    "metallic roughness": '<bsdf type="lumitree_metallic_roughness"><rgb name="base_color" '
+    'value="0.8,0.2,0.1"/><float name="spec_trans" value="0.4"/><float name="clearcoat" '
+    'value="0.3"/></bsdf>',
     "blend": '<bsdf type="blendbsdf"><float name="weight" value="0.3"/><bsdf type="diffuse"/>'
     '<bsdf type="principledthin"><float name="diff_trans" value="0.7"/></bsdf></bsdf>',
     "default": "",

@@ -25,6 +25,8 @@ MATERIALS = (
     {"type": "roughplastic", "alpha": 0.3, "int_ior": 1.6},
     {"type": "principled", "base_color": [1.0, 0, 0], "roughness": TEXTURE, "specular": 0.3},
     {"type": "principled", "metallic": 1.0, "clearcoat": 0.5, "sheen": 0.2, "flatness": 0.1},
+    {"type": "lumitree_metallic_roughness", "base_color": TEXTURE, "metallic": 0.4},
+    {"type": "lumitree_metallic_roughness", "thin": True, "diff_trans": 1.1, "spec_trans": 0.2},
     {"type": "principledthin", "diff_trans": 1.1, "spec_trans": 0.2},
     {"type": "mask", "opacity": TEXTURE, "nested": [DIFFUSE]},
     {"type": "twosided", "nested": [DIFFUSE, {"type": "conductor"}]},

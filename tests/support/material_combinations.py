@@ -8,6 +8,7 @@ from lumitree.asset.materials import check_material
 from lumitree.asset.plugins import PLUGINS
 from lumitree.asset.textures import ImageFacts
 from lumitree.errors import LumitreeError
+from lumitree.lamp.metallic_roughness import METALLIC_ROUGHNESS
 
 RANDOM = np.random.default_rng(0)
 IMAGES = (
@@ -73,6 +74,9 @@ def materials(count):
     """All materials; of those with two parameters, `count` alone unless it is 0."""
     pairs = []
     for name, plugin in PLUGINS.items():
+        if name == METALLIC_ROUGHNESS:
+            # A plugin in Python, which variants without compilation do not have.
+            continue
         base = {"type": name, **DEFAULTS.get(name, {})}
         if max(plugin.nested):
             base["nested"] = [DIFFUSE] * plugin.nested[0]

@@ -89,7 +89,8 @@ def transmits(material: Json) -> bool:
     if stated is not None:
         return stated
     inner = material.get("nested", [])
-    return material.get("spec_trans", 0) != 0 or any(map(transmits, inner))
+    diffuse = material.get("thin", False) and material.get("diff_trans", 0) != 0
+    return diffuse or material.get("spec_trans", 0) != 0 or any(map(transmits, inner))
 
 
 def _check_value(what: str, kind: Kind, value: Any, images: Sequence[ImageFacts]) -> None:

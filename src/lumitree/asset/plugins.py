@@ -192,6 +192,28 @@ PLUGINS: dict[str, Plugin] = {
         },
         transmits=True,
     ),
+    "lumitree_metallic_roughness": Plugin(
+        {
+            "base_color": _COLOUR,
+            "eta": Kind(range=(1.001, 10)),
+            "thin": _FLAG,
+            "diff_trans": Kind(range=(0, 2), texture=TextureKind((0, 2))),
+            **dict.fromkeys(
+                (
+                    "metallic",
+                    "roughness",
+                    "anisotropic",
+                    "specular",
+                    "spec_trans",
+                    "clearcoat",
+                    "clearcoat_roughness",
+                    "sheen",
+                ),
+                _VALUE,
+            ),
+        },
+        transmits=None,
+    ),
     "mask": Plugin({"opacity": _VALUE}, (1,), transmits=True),
     "twosided": Plugin({}, (1, 2)),
     "normalmap": Plugin({"normalmap": _NORMALS}, (1,), ("normalmap",), transmits=None),

@@ -45,6 +45,13 @@ def add(commands: Any) -> None:
         help="Blender, or a Python with the module bpy, for .blend and .vdb (default: blender on "
         "PATH, else this Python if it has bpy)",
     )
+    parser.add_argument(
+        "--importer",
+        choices=("any", "blender"),
+        default="any",
+        help="program that reads the .glb, .usda or .usdz: for blender, lights that its importers "
+        "turn into the illumination of .py, and no surfaces (default: any)",
+    )
 
 
 def run(args: argparse.Namespace) -> Any:
@@ -57,6 +64,7 @@ def run(args: argparse.Namespace) -> Any:
         unit=options.number(args.unit),
         up=args.up,
         blender=args.blender,
+        importer=args.importer,
     )
 
 

@@ -67,8 +67,7 @@ def add(commands: Any) -> None:
     parser.add_argument(
         "--glare",
         action="store_true",
-        help="also compute the glare of the view: UGR, and DGP for daylight (`pip install "
-        "'lumitree[radiance]'`)",
+        help="also compute the glare of the view: UGR, and DGP for daylight",
     )
     parser.add_argument(
         "--width",
@@ -92,14 +91,12 @@ def run(args: argparse.Namespace) -> Any:
     from lumitree.core.arguments import check_sheet_output
     from lumitree.core.backend import load_rgb
     from lumitree.core.results import plain
-    from lumitree.measure.glare import check_evalglare
     from lumitree.rendering.saved_passes import forget_passes
 
     check_outputs(args.output, args.layers, args.aov)
     if args.luminance is not None:
         check_sheet_output(args.luminance, "luminance image")
     if args.glare:
-        check_evalglare()
         # For the illuminance at the camera.
         load_rgb(args.variant)
     work = f"{args.output}.work" if args.work is None else args.work

@@ -76,12 +76,13 @@ class Glass:
         tint: factor of the transmitted light at each crossing of the surface.
         thin: the mesh is a single sheet; otherwise it is a closed surface of a solid.
         medium: what fills a solid; None for nothing.
-        microfacets: their distribution; GGX, that of Trowbridge and Reitz, as models have it.
+        microfacets: their distribution; GGX, as models have it, with the light that is scattered
+            more than once, or Beckmann's without.
     """
 
     ior: float = 1.5
     roughness: float = 0.0
-    tint: Colour = WHITE
+    tint: RGB = WHITE
     thin: bool = False
     medium: Medium | None = None
     microfacets: Microfacets = "ggx"
@@ -99,7 +100,7 @@ class Metal:
         microfacets: as of `Glass`.
     """
 
-    tint: Colour = WHITE
+    tint: RGB = WHITE
     roughness: float = 0.0
     conductor: str = "none"
     microfacets: Microfacets = "ggx"
@@ -114,14 +115,15 @@ class Diffuse:
 
 @dataclasses.dataclass(frozen=True)
 class Principled:
-    """Burley's principled material, with Mitsuba's parameters; all in [0, 1] except `ior`.
+    """The material of glTF 2.0, which `lamp.metallic_roughness` renders; all in [0, 1] but `ior`.
 
     Attributes:
         roughness: square root of the GGX alpha.
+        specular: factor of the reflection of a dielectric.
         transmission: share of the light that is refracted instead of diffusely reflected.
-        diffuse_transmission: share of the diffuse light that leaves on the other side, in [0, 2];
-            only of a thin sheet.
-        thin: the mesh is a single sheet. A thin sheet has no metallic and no clear coat.
+        diffuse_transmission: twice the share of the diffuse light that leaves on the other side, in
+            [0, 2]; only of a thin sheet.
+        thin: the mesh is a single sheet.
     """
 
     base_color: Colour = (0.5, 0.5, 0.5)
@@ -129,11 +131,10 @@ class Principled:
     roughness: Value = 0.5
     anisotropy: Value = 0.0
     ior: float = 1.5
-    specular_tint: float = 0.0
+    specular: Value = 1.0
     sheen: Value = 0.0
-    sheen_tint: float = 0.0
     clearcoat: Value = 0.0
-    clearcoat_gloss: Value = 0.0
+    clearcoat_roughness: float = 0.0
     transmission: Value = 0.0
     diffuse_transmission: float = 0.0
     thin: bool = False

@@ -22,6 +22,7 @@ from lumitree.lamp.exr_files import check_exr_file
 from lumitree.lamp.importers.model_folder import MAX_MODEL_BYTES
 from lumitree.lamp.media import keep_clear_channels
 from lumitree.lamp.mesh_files import check_mesh_file
+from lumitree.lamp.metallic_roughness import register_metallic_roughness
 from lumitree.lamp.names import select_names
 from lumitree.lamp.scene_instances import copy_instances, matrix_of, referred
 from lumitree.lamp.scene_shapes import CHOSEN_BY, SceneShape, shape_of_node
@@ -70,6 +71,7 @@ class SceneFile:
             self._folder, self._name = self.path.parent, shown(source, 300)
             self._check_text(self.path)
         mi = load_mitsuba()
+        register_metallic_roughness()
         # Compared for each property of each node.
         self._types = mi.ObjectType
         self._config = mi.parser.ParserConfig(mi.variant())

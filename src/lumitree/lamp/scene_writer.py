@@ -17,8 +17,10 @@ from lumitree.core.device import on_device
 from lumitree.core.files import atomic_path
 from lumitree.core.frames import is_far, similarity
 from lumitree.core.system import accepts_name
+from lumitree.lamp.conductors import normal_reflectance
 from lumitree.lamp.masked_emission import MaskedEmission
 from lumitree.lamp.meshes import Floats, Mesh
+from lumitree.lamp.metallic_roughness import METALLIC_ROUGHNESS, register_metallic_roughness
 from lumitree.lamp.names import Names
 from lumitree.lamp.parts import (
     WHITE,
@@ -58,6 +60,8 @@ def write_scene(model: Geometry, folder: str | os.PathLike[str]) -> Path:
     Raises:
         LumitreeError: the folder cannot be written.
     """
+    # The scene can then be loaded.
+    register_metallic_roughness()
     return _Writer(model, Path(folder)).write()
 
 
@@ -130,21 +134,37 @@ class _Writer:
             case Glass():
                 self._glass(parent, surface, name)
             case Metal():
-                rough = surface.roughness >= _SMOOTH
-                kind = "roughconductor" if rough else "conductor"
-                bsdf = SubElement(parent, "bsdf", {"type": kind, **name})
-                _add(bsdf, "string", "material", surface.conductor)
-                if rough:
-                    _rough(bsdf, surface)
-                self._colour(bsdf, "specular_reflectance", surface.tint)
+                self._metal(parent, surface, name)
             case Diffuse():
                 bsdf = SubElement(parent, "bsdf", {"type": "diffuse", **name})
                 self._colour(bsdf, "reflectance", surface.reflectance)
             case Principled():
                 self._principled(parent, surface, name)
 
+    def _metal(self, parent: Element, metal: Metal, name: dict[str, str]) -> None:
+        rough = metal.roughness >= _SMOOTH
+        if rough and metal.microfacets == "ggx":
+            reflectance = normal_reflectance({"material": metal.conductor})
+            colour = tuple((np.array(metal.tint) * reflectance).tolist())
+            surface = Principled(colour, metallic=1.0, roughness=metal.roughness)
+            self._principled(parent, surface, name)
+            return
+        kind = "roughconductor" if rough else "conductor"
+        bsdf = SubElement(parent, "bsdf", {"type": kind, **name})
+        _add(bsdf, "string", "material", metal.conductor)
+        if rough:
+            _rough(bsdf, metal)
+        _rgb(bsdf, "specular_reflectance", metal.tint)
+
     def _glass(self, parent: Element, glass: Glass, name: dict[str, str]) -> None:
         rough = glass.roughness >= _SMOOTH and not glass.thin
+        if rough and glass.microfacets == "ggx":
+            red, green, blue = (channel**2 for channel in glass.tint)
+            surface = Principled(
+                (red, green, blue), roughness=glass.roughness, ior=glass.ior, transmission=1.0
+            )
+            self._principled(parent, surface, name)
+            return
         kind = "thindielectric" if glass.thin else "roughdielectric" if rough else "dielectric"
         bsdf = SubElement(parent, "bsdf", {"type": kind, **name})
         _add(bsdf, "float", "int_ior", _number(glass.ior))
@@ -152,25 +172,22 @@ class _Writer:
         if rough:
             _rough(bsdf, glass)
         if glass.tint != WHITE:
-            self._colour(bsdf, "specular_transmittance", glass.tint)
+            _rgb(bsdf, "specular_transmittance", glass.tint)
 
     def _principled(self, parent: Element, surface: Principled, name: dict[str, str]) -> None:
-        kind = "principledthin" if surface.thin else "principled"
-        bsdf = SubElement(parent, "bsdf", {"type": kind, **name})
+        bsdf = SubElement(parent, "bsdf", {"type": METALLIC_ROUGHNESS, **name})
         self._colour(bsdf, "base_color", surface.base_color)
+        self._value(bsdf, "metallic", surface.metallic)
         self._value(bsdf, "roughness", surface.roughness)
         self._value(bsdf, "anisotropic", surface.anisotropy)
-        self._value(bsdf, "spec_trans", surface.transmission)
+        self._value(bsdf, "eta", surface.ior)
+        self._value(bsdf, "specular", surface.specular)
         self._value(bsdf, "sheen", surface.sheen)
-        self._value(bsdf, "sheen_tint", surface.sheen_tint)
-        self._value(bsdf, "spec_tint", surface.specular_tint)
-        _add(bsdf, "float", "eta", _number(surface.ior))
-        if surface.thin:
-            self._value(bsdf, "diff_trans", surface.diffuse_transmission)
-        else:
-            self._value(bsdf, "metallic", surface.metallic)
-            self._value(bsdf, "clearcoat", surface.clearcoat)
-            self._value(bsdf, "clearcoat_gloss", surface.clearcoat_gloss)
+        self._value(bsdf, "clearcoat", surface.clearcoat)
+        self._value(bsdf, "clearcoat_roughness", surface.clearcoat_roughness)
+        self._value(bsdf, "spec_trans", surface.transmission)
+        self._value(bsdf, "diff_trans", surface.diffuse_transmission)
+        _add(bsdf, "boolean", "thin", "true" if surface.thin else "false")
 
     def _colour(self, parent: Element, name: str, colour: Colour) -> None:
         match colour:
@@ -265,8 +282,8 @@ def _reference(material: Material) -> str:
 def transmits(surface: Surface) -> bool:
     """Whether light crosses a surface, so that its BSDF defines both sides."""
     if isinstance(surface, Principled):
-        see_through = isinstance(surface.transmission, Texture) or surface.transmission > 0
-        return surface.thin or see_through
+        diffuse = surface.thin and surface.diffuse_transmission > 0
+        return diffuse or isinstance(surface.transmission, Texture) or surface.transmission > 0
     return isinstance(surface, Glass)
 
 

@@ -1,29 +1,24 @@
-"""Glare of a view, by evalglare (J. Wienold), which comes with the package pyradiance."""
+"""Glare of a view: Unified Glare Rating (CIE 117) and Daylight Glare Probability."""
 
 import dataclasses
-import importlib.util
 import math
+import warnings
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import label
 
 from lumitree.core.photometry import luminance
-from lumitree.errors import LumitreeError, explained, shown
+from lumitree.errors import LumitreeError, LumitreeWarning, explained
 from lumitree.rendering.camera_view import CameraView
 from lumitree.rendering.render import RenderResult
 
-# Radiance takes the luminance of (v, v, v) for 179 v cd/m².
-_RADIANCE_EFFICACY = 179.0
-# The background luminance is the mean of the image without its sources. The standard's comes from
-# the illuminance of a whole hemisphere, which a perspective image does not show.
-_BACKGROUND = 1
-# An RGBE pixel holds mantissas of 8 bits and an exponent, 128 for numbers from 0.5 to 1.
-_MANTISSA, _EXPONENT = 256, 128
-# Times the mean luminance of the image: what is brighter is a source of the UGR. evalglare's own
-# threshold, 2,000 cd/m², is that of daylight, and of the DGP.
+# Brighter pixels are sources: of the UGR in mean luminances of the others, of the DGP in cd/m².
 _BRIGHT = 5
-# Images with dark corners too, below 7 cd/m²: evalglare takes them for those of a fisheye.
-_DARK_CORNERS = "-f"
+_BRIGHT_DAYLIGHT = 2000.0
+# A larger difference between the ratings of the image and of half its resolution is warned of.
+_TOLERANCE = 1.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,11 +28,13 @@ class Glare:
     Attributes:
         ugr: Unified Glare Rating (CIE 117), of the sources in the image: from 10, not perceptible,
             to 28, intolerable. A source is what is brighter than 5 times the mean luminance of the
-            image. NaN without a source, and before a background that is black.
+            rest of the image. NaN without a source, with sources of single pixels only, and before
+            a background that is black.
         dgp: Daylight Glare Probability, 0 to 1, of sources above 2,000 cd/m²; it holds for
             daylight, and for a vertical illuminance above 380 lx.
         vertical_illuminance: at the eye, lx.
-        background: luminance of the image without its sources, cd/m².
+        background: luminance of the image without its sources, cd/m²: the mean, weighted by the
+            cosine of the angle to the line of sight, as the indirect illuminance of CIE 117 is.
         source_luminance: mean luminance of the sources, cd/m²; NaN without a source.
         source_solid_angle: their solid angle, sr.
     """
@@ -50,25 +47,18 @@ class Glare:
     source_solid_angle: float
 
 
-def check_evalglare() -> None:
-    """Refuse to compute glare without pyradiance, before any work is done.
-
-    Raises:
-        LumitreeError: it is not installed.
-    """
-    if importlib.util.find_spec("pyradiance") is None:
-        raise LumitreeError(
-            "glare needs the package pyradiance; install it with `pip install 'lumitree[radiance]'`"
-        )
-
-
 @explained
 def glare(image: RenderResult, vertical_illuminance: float) -> Glare:
     """Glare of a rendered view.
 
+    UGR = 8 log₁₀(0.25 / L_b · Σ L² ω / p²), over the pixels of sources with luminance L and solid
+    angle ω. A source is a connected part of the image, and p the position index of its centre, by
+    Guth, and below the line of sight by Iwata and Tokura. Every pixel counts with its own
+    luminance, so a bright spot of a lamp is not averaged over the lamp.
+
     The image is taken for all that the eye sees, apart from the vertical illuminance. So let it be
-    wide: what glares is no source if it is not in the image. Noise of single pixels is; render long
-    enough, or denoise.
+    wide: what glares is no source if it is not in the image. Sources should be 6 pixels wide or
+    more. A warning says that the image at half its resolution has another UGR, by 1 or more.
 
     Args:
         image: of a perspective camera, 64 pixels wide and high or more.
@@ -76,12 +66,8 @@ def glare(image: RenderResult, vertical_illuminance: float) -> Glare:
             as `illuminance` finds it. Where it is not known, NaN, or not positive, neither is DGP.
 
     Raises:
-        LumitreeError: pyradiance is not installed, the camera has no `CameraView`, the image is too
-            small, or evalglare fails.
+        LumitreeError: the camera has no `CameraView`, or the image is too small.
     """
-    check_evalglare()
-    import pyradiance
-
     if image.camera is None:
         raise LumitreeError(
             "the camera is not a perspective one, or its axis is not at the centre of the image; "
@@ -90,50 +76,100 @@ def glare(image: RenderResult, vertical_illuminance: float) -> Glare:
     height, width = image.pixels.shape[:2]
     if min(height, width) < 64:
         raise LumitreeError(f"the image has {width} x {height} pixels; glare needs 64 x 64 or more")
-    picture = _picture(luminance(image.pixels), image.camera)
+    values = np.maximum(np.nan_to_num(luminance(image.pixels), posinf=0.0), 0)
+    view = _View(values, image.camera)
+    halved = values[: height // 2 * 2, : width // 2 * 2]
+    halved = halved.reshape(height // 2, 2, width // 2, 2).mean((1, 3))
+    ugr, coarse = view.ugr(), _View(halved, image.camera).ugr()
+    source = view.source
+    if source.any() and view.background and not abs(ugr - coarse) < _TOLERANCE:
+        warnings.warn(
+            f"the UGR is {ugr:.1f}, and {coarse:.1f} at half the resolution: sources are small or "
+            "noisy; render a larger image, or one with more samples per pixel",
+            LumitreeWarning,
+            stacklevel=3,
+        )
+    omega = float(view.solid_angle[source].sum())
     known = math.isfinite(vertical_illuminance) and vertical_illuminance > 0
-
-    def figures(threshold: float | None = None) -> dict[str, float]:
-        """What evalglare prints: names, a colon, numbers."""
-        try:
-            output = pyradiance.evalglare(
-                picture,
-                view=[_DARK_CORNERS],
-                detailed=True,
-                ev=vertical_illuminance if known else 1.0,
-                bg_lum_mode=_BACKGROUND,
-                threshold=threshold,
-            )
-        except RuntimeError as error:
-            reason = shown(" ".join(str(error).split()), 300)
-            raise LumitreeError(f"evalglare failed: {reason}") from None
-        last = output.decode(errors="replace").strip().splitlines()[-1]
-        names, _, numbers = last.partition(":")
-        return dict(zip(names.split(","), map(float, numbers.split()), strict=False))
-
-    values = figures(_BRIGHT)
-    solid_angle, background = values["omega_sources"], max(values["lum_backg"], 0.0)
     return Glare(
-        ugr=values["ugr"] if solid_angle and background else math.nan,
-        dgp=figures()["dgp"] if known else math.nan,
+        ugr=ugr,
+        dgp=view.dgp(vertical_illuminance) if known else math.nan,
         vertical_illuminance=vertical_illuminance,
-        background=background,
-        source_luminance=values["lum_sources"] if solid_angle else math.nan,
-        source_solid_angle=solid_angle,
+        background=view.background,
+        source_luminance=float((values * view.solid_angle)[source].sum()) / (omega or math.nan),
+        source_solid_angle=omega,
     )
 
 
-def _picture(values: NDArray[np.float64], camera: CameraView) -> bytes:
-    """A Radiance picture of luminances [H, W], cd/m², in grey."""
-    height, width = values.shape
-    grey = np.maximum(np.nan_to_num(values, posinf=0.0), 0) / _RADIANCE_EFFICACY
-    mantissa, exponent = np.frexp(grey)
-    pixels = np.empty((height, width, 4), np.uint8)
-    pixels[..., :3] = np.minimum(mantissa * _MANTISSA, _MANTISSA - 1)[..., None]
-    pixels[..., 3] = np.where(grey > 0, np.clip(exponent + _EXPONENT, 0, 255), 0)
-    vectors = {"vp": camera.origin, "vd": camera.direction, "vu": camera.up}
-    view = " ".join(f"-{name} {' '.join(f'{x:.6g}' for x in v)}" for name, v in vectors.items())
-    angles = f"-vh {camera.horizontal:.6g} -vv {camera.vertical:.6g}"
-    lines = ("#?RADIANCE", "FORMAT=32-bit_rle_rgbe", f"VIEW= -vtv {view} {angles}")
-    header = "\n".join((*lines, "", f"-Y {height} +X {width}", ""))
-    return header.encode() + pixels.tobytes()
+class _View:
+    """Luminances [H, W], cd/m², and solid angles of their pixels, sr."""
+
+    def __init__(self, luminances: NDArray[np.float64], camera: CameraView) -> None:
+        height, width = luminances.shape
+        halves = [math.tan(math.radians(each) / 2) for each in (camera.horizontal, camera.vertical)]
+        # Offsets from the line of sight at a distance of 1.
+        across = halves[0] * ((2 * np.arange(width) + 1) / width - 1)
+        up = halves[1] * (1 - (2 * np.arange(height) + 1) / height)
+        self.across, self.up = np.meshgrid(across, up)
+        cosine = 1 / np.sqrt(1 + self.across**2 + self.up**2)
+        self.luminances = luminances
+        self.solid_angle = 4 * halves[0] * halves[1] / (height * width) * cosine**3
+        self.source, count = np.zeros_like(luminances, bool), -1
+        # A bright source raises the mean, and would hide others from it. Each source lowers it.
+        while self.source.sum() > count:
+            count = self.source.sum()
+            mean = np.average(luminances, weights=self.solid_angle * ~self.source)
+            self.source |= luminances > _BRIGHT * mean
+        weights = self.solid_angle * cosine * ~self.source
+        self.background = float(np.average(luminances, weights=weights))
+
+    def glare(self, bright: NDArray[np.bool_]) -> float:
+        """Σ L² ω / p² over the pixels that are bright.
+
+        L² is the product of the luminances of two pixels at a distance of 1 and 2, extrapolated to
+        a distance of 0. Noise of pixels does not raise it, and pixels at the edge of a source,
+        which have a part of its luminance, do not lower it.
+        """
+        sources, count = cast("tuple[NDArray[np.int32], int]", label(bright, np.ones((3, 3))))
+        flux = np.where(bright, self.luminances * self.solid_angle, 0)
+        total, across, up = (
+            np.bincount(sources.ravel(), (flux * each).ravel(), count + 1)
+            for each in (1, self.across, self.up)
+        )
+        total[0] = 1
+        position = _position_index(across / total, up / total)[sources]
+        root = np.where(bright, self.luminances, 0) * np.sqrt(self.solid_angle) / position
+        near, far = (
+            (root[step:] * root[:-step]).sum() + (root[:, step:] * root[:, :-step]).sum()
+            for step in (1, 2)
+        )
+        return max(float(near - far / 2), 0.0)
+
+    def ugr(self) -> float:
+        """Unified Glare Rating; NaN if it is not defined."""
+        glare = self.glare(self.source)
+        if not (glare and self.background):
+            return math.nan
+        return 8 * math.log10(0.25 / self.background * glare)
+
+    def dgp(self, vertical: float) -> float:
+        """Daylight Glare Probability (Wienold and Christoffersen 2006), of an illuminance, lx."""
+        glare = self.glare(self.luminances > _BRIGHT_DAYLIGHT)
+        value = 5.87e-5 * vertical + 0.0918 * math.log10(1 + glare / vertical**1.87) + 0.16
+        return min(value, 1.0)
+
+
+def _position_index(across: NDArray[np.float64], up: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Position index by Guth, and below the line of sight by Iwata and Tokura; at most 16.
+
+    Args:
+        across, up: [N] offsets from the line of sight at a distance of 1.
+    """
+    tangent = np.hypot(across, up)
+    sigma, tau = np.degrees(np.arctan(tangent)), np.degrees(np.arctan2(np.abs(across), up))
+    above = np.exp(
+        (35.2 - 0.31889 * tau - 1.22 * np.exp(-2 * tau / 9)) * 1e-3 * sigma
+        + (21 + 0.26667 * tau - 0.002963 * tau**2) * 1e-5 * sigma**2
+    )
+    below = 1 + np.where(tangent > 0.6, 1.2, 0.8) * np.minimum(tangent, 3)
+    return np.minimum(np.where(up < -1e-9, below, above), 16)

@@ -1,7 +1,8 @@
 """What is looked at elsewhere: previews, the viewer, lamps for other programs.
 
 `targets` has one module for each program. They share `point_lights`, which clusters a light field,
-`ies_profiles`, profiles of lights, and `pbr`, which converts materials to metalness and roughness.
+`ies_profiles`, profiles of lights, `spots`, lights for Blender's importers, and `pbr`, which
+converts materials to metalness and roughness.
 Outputs of several files are written into a temporary folder beside the output
 (`core.work_folder.atomic_files`).
 """

@@ -13,9 +13,9 @@ from lumitree.core.seeds import check_seed
 from lumitree.core.stopwatch import Stopwatch
 from lumitree.core.units import metres_of
 from lumitree.core.work_folder import atomic_files, atomic_folder, check_new_folder
-from lumitree.errors import explained
+from lumitree.errors import LumitreeError, explained
 from lumitree.output.targets.registry import find_target
-from lumitree.output.targets.target import ExportRequest
+from lumitree.output.targets.target import ExportRequest, Importer
 from lumitree.rendering.asset_cache import open_asset, refuse_frame
 
 # By measurement, see docs/decisions/blender.md.
@@ -61,6 +61,7 @@ def export(
     unit: float | str = "m",
     up: Literal["y", "z"] = "y",
     blender: FilePath | None = None,
+    importer: Importer = "any",
     seed: int = 0,
 ) -> ExportResult:
     """Write an asset for another program: as point lights, for some with the lamp's surfaces.
@@ -97,6 +98,9 @@ def export(
             (`ExportResult.orientation`), to which the lamp is turned.
         blender: program that makes `.blend` and `.vdb` files: Blender, or a Python with the module
             `bpy`. Default: `blender` on the search path, else this Python if it has `bpy`.
+        importer: for `.glb`, `.usda` and `.usdz`, the program that reads the file. "blender" writes
+            no surfaces, and lights as spots without profiles, of which Blender's importer makes the
+            illumination of `.py`; "any" (default) writes what the format's specification means.
         seed: root seed of the clusters.
 
     Returns:
@@ -112,6 +116,12 @@ def export(
     (check_new_folder if target.is_folder else check_writable)(output)
     check_count("lights", lights, 1, MAX_LIGHTS)
     check_choice("up", up, ("y", "z"))
+    check_choice("importer", importer, ("any", "blender"))
+    if importer == "blender" and not target.importers:
+        raise LumitreeError(
+            f"the importer blender is for .glb, .usda and .usdz, and the output is for "
+            f"{target.name}; leave the importer out"
+        )
     metres = metres_of(unit)
     check_seed(seed)
     if target.check is not None:
@@ -124,7 +134,13 @@ def export(
         near = given.near_origin
         loaded = near if metres == 1 else near.scaled(metres)
     request = ExportRequest(
-        asset=loaded, lights=lights, up=up, seed=seed, blender=blender, name=output.name
+        asset=loaded,
+        lights=lights,
+        up=up,
+        seed=seed,
+        blender=blender,
+        importer=importer,
+        name=output.name,
     )
     writing = atomic_folder if target.is_folder else atomic_files
     with watch.stage("write"), writing(output) as folder:

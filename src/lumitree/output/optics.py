@@ -48,20 +48,3 @@ def clearcoat_roughness(material: Json) -> float:
     # As Mitsuba has it: alpha is 0.1 at gloss 0, and 0.001 at gloss 1.
     alpha = 0.1 - 0.099 * (0.5 if isinstance(gloss, dict) else gloss)
     return float(alpha**0.5)
-
-
-def normal_reflectance(material: Json) -> list[float]:
-    """Reflectance [3] of a conductor at normal incidence, by Fresnel's equations."""
-    given = {name: material[name] for name in ("material", "eta", "k") if name in material}
-    if any(isinstance(value, dict) for value in given.values()):
-        return [1.0, 1.0, 1.0]
-    colours = {
-        name: {"type": "rgb", "value": value} if isinstance(value, list) else value
-        for name, value in given.items()
-    }
-    parameters = mi.traverse(mi.load_dict({"type": "conductor", **colours}))
-    eta, k = (
-        np.broadcast_to(np.array(parameters[f"{name}.value"], np.float64).ravel(), 3)
-        for name in ("eta", "k")
-    )
-    return (((eta - 1) ** 2 + k**2) / ((eta + 1) ** 2 + k**2)).tolist()

@@ -14,11 +14,11 @@ from lumitree.asset.geometry import AssetGeometry
 from lumitree.asset.geometry_media import scattering_sides, side_medium
 from lumitree.asset.textures import ImageFacts, Json
 from lumitree.core.photometry import RGB
+from lumitree.lamp.conductors import normal_reflectance
 from lumitree.output.optics import (
     LOST_REFLECTANCE,
     clearcoat_roughness,
     has_reflectance_factor,
-    normal_reflectance,
     plastic_index,
     principled_index,
     relative_index,
@@ -248,11 +248,34 @@ class PbrMaterials:
             sheen=layer(material.get("sheen", 0.0)),
         )
 
+    def _lumitree_metallic_roughness(self, material: Json) -> PbrMaterial:
+        if material.get("anisotropic"):
+            self.lost.add("anisotropic roughness is replaced by its mean")
+        thin = material.get("thin", False)
+        return PbrMaterial(
+            layer(material.get("base_color", 0.5)),
+            metallic=layer(material.get("metallic", 0.0)),
+            roughness=layer(material.get("roughness", 0.5)),
+            index=material.get("eta", 1.5),
+            specular=self._mean(material.get("specular", 1.0)),
+            transmission=layer(material.get("spec_trans", 0.0)),
+            thin=thin,
+            two_sided=thin,
+            diffuse_transmission=self._mean(material.get("diff_trans", 0.0)) / 2,
+            clearcoat=layer(material.get("clearcoat", 0.0)),
+            clearcoat_roughness=self._mean(material.get("clearcoat_roughness", 0.0)),
+            sheen=layer(material.get("sheen", 0.0)),
+        )
+
+    def _mean(self, value: Any) -> float:
+        """A number, or the mean of a texture."""
+        if not isinstance(value, dict):
+            return float(value)
+        self.lost.add("some textures of reflection and transmission are replaced by their mean")
+        image = self._geometry.images[value["image"]]
+        return float(image.mean()) / (255 if image.dtype == np.uint8 else 1)
+
     def _principledthin(self, material: Json) -> PbrMaterial:
-        share = material.get("diff_trans", 0.0)
-        if isinstance(share, dict):
-            self.lost.add("textures of diffuse transmission are replaced by their mean")
-            share = float(np.mean(self._images[share["image"]].values))
         return PbrMaterial(
             layer(material.get("base_color", 0.5)),
             roughness=layer(material.get("roughness", 0.5)),
@@ -260,7 +283,7 @@ class PbrMaterials:
             transmission=layer(material.get("spec_trans", 0.0)),
             thin=True,
             two_sided=True,
-            diffuse_transmission=share / 2,
+            diffuse_transmission=self._mean(material.get("diff_trans", 0.0)) / 2,
             sheen=layer(material.get("sheen", 0.0)),
         )
 

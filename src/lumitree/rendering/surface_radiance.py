@@ -30,7 +30,7 @@ def vertex_radiance(
     samples_per_face: int,
     name: str = "surfaces",
     lights: Mapping[str, Any] | None = None,
-) -> NDArray[np.float32]:
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Mean radiance at the vertices of surfaces, over all directions of the front's hemisphere.
 
     The mean is weighted by the cosine, so that a surface that sent out the same radiance to all
@@ -46,14 +46,15 @@ def vertex_radiance(
         lights: other members of the scene, for `mi.load_dict`, local frame. Default: none.
 
     Returns:
-        [V, 3], W/(m² sr); 0 for a vertex of no face.
+        [V, 3], W/(m² sr), and [V], the variance of a path's mean of R, G and B; 0 for a vertex of
+        no face.
     """
     scene = mi.load_dict({**scene_alone(asset), **(lights or {})})
     transforms_as_parameters(scene.shapes())
     integrator: Any = mi.load_dict({"type": "lumitree_path", "max_depth": PATH_DEPTH})
     points = on_device(mi.Float, vertices)
     corners = on_device(mi.UInt32, faces)
-    sums = np.zeros((len(vertices), 4))
+    sums = np.zeros((len(vertices), 5))
     at_once = max(1, _SAMPLES_AT_ONCE // samples_per_face)
     with progress(name, len(faces)) as advance:
         for step, first in enumerate(range(0, len(faces), at_once)):
@@ -75,13 +76,18 @@ def vertex_radiance(
             point = weights[0] * a + weights[1] * b + weights[2] * c
             ray = mi.RayDifferential3f(mi.Ray3f(point + _ABOVE * away, -away))
             radiance, _, _ = integrator.sample(scene, sampler, ray, None, seen)
-            values = [dr.select(seen, each, 0) for each in (*mi.Color3f(radiance), mi.Float(1))]
+            colour = mi.Color3f(radiance)
+            known = (*colour, dr.square(dr.mean(colour)), mi.Float(1))
+            values = [dr.select(seen, each, 0) for each in known]
             # Else each sum would trace the paths again.
             dr.eval(weights, values)
             # In a stated order: sums by several threads would differ in their last bits.
-            parts = [dr.block_sum(w * each, samples_per_face) for w in weights for each in values]
+            parts = [[dr.block_sum(w * each, samples_per_face) for w in weights] for each in values]
             dr.eval(parts)
-            of_corners = np.stack([np.array(part, np.float64) for part in parts], axis=-1)
-            np.add.at(sums, faces[first : first + count], of_corners.reshape(count, 3, 4))
+            at = faces[first : first + count].T.ravel()
+            for column, part in enumerate(parts):
+                of_corners = np.concatenate([np.array(each, np.float64) for each in part])
+                sums[:, column] += np.bincount(at, of_corners, len(sums))
             advance(count)
-    return (sums[:, :3] / np.maximum(sums[:, 3:], 1e-20)).astype(np.float32)
+    means = (sums / np.maximum(sums[:, 4:], 1e-20)).astype(np.float32)
+    return means[:, :3], np.maximum(means[:, 3] - means[:, :3].mean(axis=1) ** 2, 0)

@@ -277,6 +277,9 @@ def test_the_official_validator_finds_no_errors(tmp_path, packages):
         "IMAGE_NPOT_DIMENSIONS",
     }
     assert report["info"]["drawCallCount"] == len(MATERIALS)
+    lumitree.export(everything(), tmp_path / "spots.glb", importer="blender")
+    report = json.loads(run_node(packages, VALIDATE, str(tmp_path / "spots.glb")))
+    assert report["issues"]["numErrors"] == 0, report["issues"]["messages"]
 
 
 LOAD = """(async () => {

@@ -92,4 +92,6 @@ def test_files_of_names_of_other_scripts_are_told_apart():
 
 
 def request(name):
-    return ExportRequest(asset=None, lights=1, up="y", seed=0, blender=None, name=name)
+    return ExportRequest(
+        asset=None, lights=1, up="y", seed=0, blender=None, importer="any", name=name
+    )

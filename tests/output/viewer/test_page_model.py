@@ -36,6 +36,10 @@ def surface(material, radiance=None, scale=1.0, **media):
         ({"type": "roughconductor", "material": "Cu", "alpha": TEXTURE}, "ENDS"),
         ({"type": "diffuse", "reflectance": 0.5}, "ENDS"),
         ({"type": "principled", "metallic": 1.0}, "ENDS"),
+        ({"type": "lumitree_metallic_roughness", "metallic": 1.0}, "METAL"),
+        ({"type": "lumitree_metallic_roughness", "spec_trans": 1.0, "eta": 1.4}, "GLASS"),
+        ({"type": "lumitree_metallic_roughness", "metallic": 0.5}, "ENDS"),
+        ({"type": "lumitree_metallic_roughness", "metallic": 1.0, "roughness": TEXTURE}, "ENDS"),
     ],
 )
 def test_rays_are_followed_through_glass_and_from_metals(material, kind):
@@ -55,6 +59,11 @@ def test_numbers_are_those_of_the_material():
         "material": "none", "specular_reflectance": [0.2, 0.4, 0.6]}]})  # fmt: skip
     assert (metal.has_back, metal.alpha) == (True, 0.3)
     np.testing.assert_allclose(metal.reflected, [0.2, 0.4, 0.6], rtol=1e-6)
+    rough = {"type": "lumitree_metallic_roughness", "base_color": 0.25, "roughness": 0.6}
+    frosted = surface({**rough, "spec_trans": 1.0, "eta": 1.4})
+    assert (frosted.index, frosted.alpha, frosted.ggx) == (1.4, pytest.approx(0.36), True)
+    assert frosted.transmitted == (0.5, 0.5, 0.5)
+    assert surface({**rough, "metallic": 1.0}).reflected == (0.25, 0.25, 0.25)
     glass = surface(
         {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.2, "specular_transmittance": 0.9},
         scale=2.0, interior=[0.1, 0.2, 0.3],

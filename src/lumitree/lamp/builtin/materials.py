@@ -4,8 +4,7 @@ import dataclasses
 
 from lumitree.lamp.parts import RGB, Diffuse, Glass, Material, Metal, Microfacets, Principled
 
-# Of all rough surfaces of the built-in lamps. Of GGX's, `star` has a quarter less light: what is
-# reflected between microfacets is lost, at each of many crossings.
+# Rough surfaces of the built-in lamps keep the microfacets with which the lamps were measured.
 BECKMANN: Microfacets = "beckmann"
 GLASS = Material("glass", Glass(ior=1.5))
 CRYSTAL = Material("crystal", Glass(ior=1.56))

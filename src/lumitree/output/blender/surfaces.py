@@ -16,7 +16,9 @@ import numpy as np
 from lumitree.asset.asset import NO_GAIN
 from lumitree.asset.geometry import AssetGeometry
 from lumitree.asset.geometry_media import scattering_sides, side_medium
+from lumitree.asset.materials import transmits
 from lumitree.asset.textures import Json
+from lumitree.lamp.conductors import normal_reflectance
 from lumitree.output.blender.nodes import (
     SCALED_GAIN,
     TINT,
@@ -33,7 +35,6 @@ from lumitree.output.optics import (
     LOST_REFLECTANCE,
     clearcoat_roughness,
     has_reflectance_factor,
-    normal_reflectance,
     plastic_index,
     principled_index,
     relative_index,
@@ -196,6 +197,17 @@ class Surfaces:
         inputs["IOR"] = principled_index(material)
         inputs["Coat Roughness"] = clearcoat_roughness(material)
         return node("ShaderNodeBsdfPrincipled", inputs)
+
+    def _lumitree_metallic_roughness(self, material: Json) -> Json:
+        if material.get("thin", False) and transmits(material):
+            self.lost.add(_LOST["principledthin"])
+            return self._principledthin(material)
+        tree = self._principled(material)
+        level = self._value(material.get("specular", 1.0))
+        half = math("MULTIPLY", level, 0.5) if isinstance(level, dict) else level / 2
+        coat = self._value(material.get("clearcoat_roughness", 0.0))
+        inputs = {**tree["inputs"], "Specular IOR Level": half, "Coat Roughness": coat}
+        return {**tree, "inputs": inputs}
 
     def _principledthin(self, material: Json) -> Json:
         colour = self._value(material.get("base_color", 0.5))

@@ -75,11 +75,14 @@ class Glb:
     def content(self) -> bytes:
         """The file."""
         self._data += b"\0" * (-len(self._data) % _ALIGNMENT)
-        made = self.json | {"buffers": [{"byteLength": len(self._data)}]}
+        made = dict(self.json)
+        if self._data:
+            made["buffers"] = [{"byteLength": len(self._data)}]
         if self._used:
             made["extensionsUsed"] = sorted(self._used)
         text = json.dumps(made, separators=(",", ":"), allow_nan=False).encode()
         text += b" " * (-len(text) % _ALIGNMENT)
         chunks = struct.pack("<I4s", len(text), _JSON) + text
-        chunks += struct.pack("<I4s", len(self._data), _BINARY) + bytes(self._data)
+        if self._data:
+            chunks += struct.pack("<I4s", len(self._data), _BINARY) + bytes(self._data)
         return struct.pack("<4sII", _MAGIC, _VERSION, 12 + len(chunks)) + chunks

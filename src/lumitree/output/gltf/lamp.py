@@ -4,6 +4,7 @@ The lights are those of EXT_lights_ies, whose profiles are in the file, and of K
 on the same nodes, for programs that do not know the first.
 """
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -18,6 +19,7 @@ from lumitree.output.gltf.materials import GltfMaterials, uses_colours
 from lumitree.output.ies_profiles import ProfiledLight
 from lumitree.output.pbr_images import PbrImages
 from lumitree.output.pbr_meshes import Surface
+from lumitree.output.spots import Spot
 
 _PROFILE_TYPE = "application/x-ies-lm-63"
 _PUNCTUAL, _PROFILED = "KHR_lights_punctual", "EXT_lights_ies"
@@ -29,7 +31,7 @@ _NAME_CHARACTERS = 60
 
 
 def lamp_glb(
-    asset: Asset, lights: Sequence[ProfiledLight], surfaces: Sequence[Surface]
+    asset: Asset, lights: Sequence[ProfiledLight | Spot], surfaces: Sequence[Surface]
 ) -> tuple[bytes, list[str]]:
     """The file of a lamp, and one line for each property that it does not carry over."""
     glb = Glb(f"lumitree {__version__}")
@@ -72,17 +74,23 @@ def _add_surface(glb: Glb, index: int, surface: Surface, materials: GltfMaterial
     return glb.add("nodes", {"name": name, "mesh": mesh})
 
 
-def _add_light(glb: Glb, index: int, light: ProfiledLight) -> int:
+def _add_light(glb: Glb, index: int, light: ProfiledLight | Spot) -> int:
     """Add a light; returns the index of its node."""
     name, colour = f"light{index}", list(light.colour)
-    point = {"type": "point", "name": name, "color": colour, "intensity": light.candela}
+    point: Json = {"type": "point", "name": name, "color": colour, "intensity": light.candela}
+    node: Json = {"name": name, "translation": light.position.tolist(), "rotation": _TURN}
+    if isinstance(light, Spot):
+        cone = {"innerConeAngle": 0.0, "outerConeAngle": math.radians(light.half_angle)}
+        point |= {"type": "spot", "spot": cone}
+        node["rotation"] = light.rotation
+    glb.extend(node, _PUNCTUAL, {"light": glb.add_of_extension(_PUNCTUAL, "lights", point)})
+    if isinstance(light, Spot):
+        return glb.add("nodes", node)
     profile = {
         "name": name,
         "bufferView": glb.view(ies_content(light.profile)),
         "mimeType": _PROFILE_TYPE,
     }
-    node: Json = {"name": name, "translation": light.position.tolist(), "rotation": _TURN}
-    glb.extend(node, _PUNCTUAL, {"light": glb.add_of_extension(_PUNCTUAL, "lights", point)})
     number = glb.add_of_extension(_PROFILED, "lights", profile)
     values = {"light": number, "multiplier": light.candela, "color": colour}
     glb.extend(node, _PROFILED, values)

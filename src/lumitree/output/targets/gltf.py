@@ -7,7 +7,14 @@ from lumitree.output.ies_profiles import LOST_COLOUR, profiled_lights
 from lumitree.output.orientation import turn_up
 from lumitree.output.pbr_meshes import LOST_GLOW, surfaces_of
 from lumitree.output.point_lights import place_lights
-from lumitree.output.targets.target import ExportRequest, Target, Written, file_orientation
+from lumitree.output.targets.target import (
+    LOST_IN_BLENDER,
+    ExportRequest,
+    Target,
+    Written,
+    blender_spots,
+    file_orientation,
+)
 
 _UNITS = "metres; cd and cd/m² (683 times W/sr and W/(m² sr))"
 _LOST_DIRECTIONS = (
@@ -21,6 +28,10 @@ _LOST_SHADOW_LINKS = (
 
 
 def _write(request: ExportRequest, folder: Path) -> Written:
+    if request.importer == "blender":
+        spots, written = blender_spots(request)
+        (folder / request.name).write_bytes(lamp_glb(request.asset, spots, [])[0])
+        return written
     turn = turn_up(request.up, "y")
     placed = place_lights(request.asset, turn, request.lights, request.seed)
     lights = profiled_lights(placed, request.asset.luminaire)
@@ -34,10 +45,10 @@ def _write(request: ExportRequest, folder: Path) -> Written:
     return Written(
         units=_UNITS,
         orientation=file_orientation("y"),
-        not_carried_over=[_LOST_DIRECTIONS, LOST_COLOUR, *lost],
+        not_carried_over=[LOST_IN_BLENDER, _LOST_DIRECTIONS, LOST_COLOUR, *lost],
         lights=len(lights),
         triangles=sum(len(surface.mesh["faces"]) for surface in surfaces),
     )
 
 
-TARGET = Target(name="glTF", write=_write)
+TARGET = Target(name="glTF", write=_write, importers=True)

@@ -6,10 +6,19 @@ import os
 import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Literal
 
 from lumitree.asset.asset import Asset
 from lumitree.core.files import FilePath
-from lumitree.output.orientation import Up
+from lumitree.output.orientation import Up, turn_up
+from lumitree.output.point_lights import place_lights
+from lumitree.output.spots import Spot, spots_of
+
+Importer = Literal["any", "blender"]
+LOST_IN_BLENDER = (
+    "Blender's importer makes other light of it: write .py or .blend for Blender, or give the "
+    "importer blender"
+)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -22,6 +31,7 @@ class ExportRequest:
         up: the axis that points up in the luminaire's file.
         seed: root seed of the clusters of lights.
         blender: the program that the user named to run scripts of Blender, or None.
+        importer: the program that reads the file, if it needs other values than the format's.
         name: file name of the output, without folders; other files have names derived from it.
     """
 
@@ -30,6 +40,7 @@ class ExportRequest:
     up: Up
     seed: int
     blender: FilePath | None
+    importer: Importer
     name: str
 
     @property
@@ -79,6 +90,7 @@ class Target:
         write: writes all files into an empty folder. The file with the name `ExportRequest.name`
             is the one to open; a target that is a folder writes files of any names.
         is_folder: whether the output is a folder.
+        importers: whether Blender's importer of the format needs values of its own.
         check: refuses, before any work, what cannot be written with the program that the user
             named in `ExportRequest.blender`.
     """
@@ -86,7 +98,23 @@ class Target:
     name: str
     write: Callable[[ExportRequest, Path], Written]
     is_folder: bool = False
+    importers: bool = False
     check: Callable[[FilePath | None], object] | None = None
+
+
+def blender_spots(request: ExportRequest) -> tuple[list[Spot], Written]:
+    """The lights with y up that Blender's importers of glTF and OpenUSD turn into the lamp's."""
+    turn = turn_up(request.up, "y")
+    spots = spots_of(place_lights(request.asset, turn, request.lights, request.seed))
+    return spots, Written(
+        units="metres; Blender's importer makes W of each of R, G and B",
+        orientation=file_orientation("y"),
+        not_carried_over=[
+            "the lamp's surfaces: they would illuminate and cast shadows a second time",
+            "each light is the sum of spots that is nearest to its intensity, with one colour",
+        ],
+        lights=len(spots),
+    )
 
 
 def file_orientation(up: str) -> str:

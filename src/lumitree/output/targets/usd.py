@@ -9,7 +9,14 @@ from lumitree.output.ies_profiles import LOST_COLOUR, ProfiledLight, profiled_li
 from lumitree.output.orientation import turn_up
 from lumitree.output.pbr_meshes import LOST_GLOW, LOST_SHADOWS, Surface, surfaces_of
 from lumitree.output.point_lights import place_lights
-from lumitree.output.targets.target import ExportRequest, Target, Written, file_orientation
+from lumitree.output.targets.target import (
+    LOST_IN_BLENDER,
+    ExportRequest,
+    Target,
+    Written,
+    blender_spots,
+    file_orientation,
+)
 from lumitree.output.usd.library import load_usd
 from lumitree.output.usd.stage import GLOW, HIDDEN, LampStage
 
@@ -24,22 +31,36 @@ _UNITS = (
 
 
 def _write_stage(request: ExportRequest, folder: Path) -> Written:
-    pxr, (surfaces, lights, lost) = load_usd(), _contents(request)
-    stage = LampStage(pxr, folder, request.name, request.stem, request.asset)
+    if request.importer == "blender":
+        return _write_spots(request, folder, request.name)
+    stage = LampStage(load_usd(), folder, request.name, request.stem, request.asset, _UNITS)
+    surfaces, lights, lost = _contents(request)
     return _written(surfaces, lights, [*lost, *stage.write_layers(surfaces, lights)])
 
 
 def _write_package(request: ExportRequest, folder: Path) -> Written:
     """A package, which holds layers and images only, as its specification has it."""
-    pxr, (surfaces, lights, lost) = load_usd(), _contents(request)
+    pxr = load_usd()
     with scratch_folder() as scratch:
         name = f"{request.stem}.usdc"
-        stage = LampStage(pxr, scratch, name, request.stem, request.asset)
-        lost += stage.write_layer(surfaces, lights)
+        if request.importer == "blender":
+            written = _write_spots(request, scratch, name)
+        else:
+            stage = LampStage(pxr, scratch, name, request.stem, request.asset, _UNITS)
+            surfaces, lights, lost = _contents(request)
+            lost += stage.write_layer(surfaces, lights)
+            written = _written(surfaces, lights, [_LOST_PROFILES, *lost])
         given = pxr.Sdf.AssetPath(str(scratch / name))
         if not pxr.UsdUtils.CreateNewUsdzPackage(given, str(folder / request.name), name):
             raise LumitreeError(f"OpenUSD did not write the package {shown(request.name, 200)}")
-    return _written(surfaces, lights, [_LOST_PROFILES, *lost])
+    return written
+
+
+def _write_spots(request: ExportRequest, folder: Path, name: str) -> Written:
+    spots, written = blender_spots(request)
+    stage = LampStage(load_usd(), folder, name, request.stem, request.asset, written.units)
+    stage.write_layer([], spots)
+    return written
 
 
 def _contents(
@@ -53,7 +74,7 @@ def _contents(
 
 
 def _written(surfaces: list[Surface], lights: list[ProfiledLight], lost: list[str]) -> Written:
-    lost = [LOST_COLOUR, *sorted(set(lost))]
+    lost = [LOST_IN_BLENDER, LOST_COLOUR, *sorted(set(lost))]
     if surfaces:
         lost.append(LOST_SHADOWS)
     if any(not surface.material.emission.is_black for surface in surfaces):
@@ -71,5 +92,5 @@ def _check(_: FilePath | None) -> None:
     load_usd()
 
 
-STAGE = Target(name="OpenUSD", write=_write_stage, check=_check)
-PACKAGE = Target(name="USDZ", write=_write_package, check=_check)
+STAGE = Target(name="OpenUSD", write=_write_stage, importers=True, check=_check)
+PACKAGE = Target(name="USDZ", write=_write_package, importers=True, check=_check)

@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from lumitree.core.photometry import RGB
+from lumitree.core.photometry import LUMENS_PER_WATT
 from lumitree.formats.ies import ies_content
 from lumitree.output.ies_profiles import ProfiledLight
+from lumitree.output.spots import Spot
 
 # From a luminous intensity, cd, to the intensity of a normalised sphere of UsdLux.
 INTENSITY_PER_CANDELA = 4.0
@@ -39,24 +40,34 @@ class LightWriter:
         self._pxr, self._stage, self._parent, self._hidden = pxr, stage, parent, hidden
         self._radius = radius * _RADIUS
 
-    def add(self, index: int, light: ProfiledLight, profile: Path | None) -> None:
+    def add(self, index: int, light: ProfiledLight | Spot, profile: Path | None) -> None:
         """Define a light.
 
         Args:
             index: number of the light.
+            light: Blender's importer makes W of the candela of UsdLux, so a spot has W/sr.
             profile: file that is written, with the name that it has beside the stage; None for a
-                light that emits the same in all directions.
+                light that emits the same in all directions, and for spots.
         """
         lux = self._pxr.UsdLux
         prim = lux.SphereLight.Define(self._stage, f"{self._parent}/light{index}")
         prim.AddTranslateOp().Set(self._pxr.Gf.Vec3d(*light.position.tolist()))
-        prim.AddRotateXOp().Set(_TURN)
         prim.CreateRadiusAttr(self._radius)
         prim.CreateTreatAsPointAttr(True)
         prim.CreateNormalizeAttr(True)
-        prim.CreateIntensityAttr(INTENSITY_PER_CANDELA * light.candela)
-        prim.CreateColorAttr(self._colour(light.colour))
+        intensity = INTENSITY_PER_CANDELA * light.candela
+        prim.CreateColorAttr(self._pxr.Gf.Vec3f(*light.colour))
         prim.CreateExtentAttr(self._extent())
+        if isinstance(light, Spot):
+            x, y, z, w = light.rotation
+            prim.AddOrientOp().Set(self._pxr.Gf.Quatf(w, x, y, z))
+            prim.CreateIntensityAttr(intensity / LUMENS_PER_WATT)
+            shaping = lux.ShapingAPI.Apply(prim.GetPrim())
+            shaping.CreateShapingConeAngleAttr(light.half_angle)
+            shaping.CreateShapingConeSoftnessAttr(1.0)
+            return
+        prim.AddRotateXOp().Set(_TURN)
+        prim.CreateIntensityAttr(intensity)
         if profile is not None:
             profile.write_bytes(ies_content(light.profile))
             shaping = lux.ShapingAPI.Apply(prim.GetPrim())
@@ -67,9 +78,6 @@ class LightWriter:
         # All that the lamp hides is in its profiles.
         linked = lux.LightAPI(prim.GetPrim()).GetShadowLinkCollectionAPI()
         linked.CreateExcludesRel().AddTarget(self._hidden)
-
-    def _colour(self, colour: RGB) -> Any:
-        return self._pxr.Gf.Vec3f(*colour)
 
     def _extent(self) -> Any:
         corners = np.array([[-self._radius] * 3, [self._radius] * 3], np.float32)

@@ -12,6 +12,7 @@ from lumitree.errors import shown
 from lumitree.output.ies_profiles import ProfiledLight
 from lumitree.output.pbr_images import PbrImages
 from lumitree.output.pbr_meshes import Surface
+from lumitree.output.spots import Spot
 from lumitree.output.usd.lights import LightWriter
 from lumitree.output.usd.materials import MaterialWriter
 from lumitree.output.usd.shaders import ShaderPlace, primvar_name
@@ -19,9 +20,8 @@ from lumitree.output.usd.shaders import ShaderPlace, primvar_name
 # Variants: whether the surfaces emit, which in path tracers illuminates.
 GLOW, SHOWN, HIDDEN = "glow", "on", "off"
 _COMMENT = (
-    "A lamp, written by lumitree. Metres, y up. Luminances are in cd/m²: a light of the intensity "
-    "4 has a mean of 1 cd. The lamp's own shadows are in the IES profiles, so its surfaces are "
-    "excluded from those of the lights. The variant off of glow has surfaces that do not emit."
+    "The lamp's own shadows are in its lights, so their shadow links exclude its surfaces. In the "
+    "variant off of glow surfaces do not emit."
 )
 _NAME_CHARACTERS = 60
 
@@ -35,11 +35,15 @@ class LampStage:
         name: name of the layer to open, such as "lamp.usda".
         stem: that the names of the other files begin with.
         asset: the lamp.
+        units: of lengths and of light, one line.
     """
 
-    def __init__(self, pxr: Any, folder: Path, name: str, stem: str, asset: Asset) -> None:
+    def __init__(
+        self, pxr: Any, folder: Path, name: str, stem: str, asset: Asset, units: str
+    ) -> None:
         self._pxr, self._folder, self._name, self._stem = pxr, folder, name, stem
         self._asset, self._luminaire = asset, shown(asset.luminaire, _NAME_CHARACTERS)
+        self._comment = f"A lamp, written by lumitree. y is up; {units}. {_COMMENT}"
         self._root = "/" + pxr.Tf.MakeValidIdentifier(self._luminaire)
 
     def write_layers(
@@ -63,7 +67,7 @@ class LampStage:
         return lost
 
     def write_layer(
-        self, surfaces: Sequence[Surface], lights: Sequence[ProfiledLight]
+        self, surfaces: Sequence[Surface], lights: Sequence[ProfiledLight | Spot]
     ) -> list[str]:
         """Write one layer of everything, with UsdPreviewSurface alone and lights without profiles.
 
@@ -103,7 +107,7 @@ class LampStage:
         return sorted(lost)
 
     def _add_lights(
-        self, stage: Any, lights: Sequence[ProfiledLight], files: Sequence[Path | None]
+        self, stage: Any, lights: Sequence[ProfiledLight | Spot], files: Sequence[Path | None]
     ) -> None:
         """Define lights, and write their profiles into files; after the surfaces."""
         root = stage.GetDefaultPrim()
@@ -119,7 +123,7 @@ class LampStage:
 
     def _new_stage(self, name: str) -> Any:
         stage = self._pxr.Usd.Stage.CreateNew(str(self._folder / name))
-        stage.GetRootLayer().comment = _COMMENT
+        stage.GetRootLayer().comment = self._comment
         self._pxr.UsdGeom.SetStageUpAxis(stage, self._pxr.UsdGeom.Tokens.y)
         self._pxr.UsdGeom.SetStageMetersPerUnit(stage, 1.0)
         root = self._pxr.UsdGeom.Xform.Define(stage, self._root)

@@ -3,5 +3,6 @@
 `packing` converts an asset into arrays for textures, `page` puts them into one file with those of
 the folder `page/`: a shader that follows paths through the geometry, one that traverses the field
 as `octree.traversal` does, and one that sums the illuminance of the walls of a box over the cells
-of the light field. `light_as_field` makes a field of an asset that has a light field alone.
+of the light field. `model` traces the surfaces, and `smoothing` removes the noise of the paths.
+`light_as_field` makes a field of an asset that has a light field alone.
 """

@@ -5,7 +5,6 @@ Symbols
 """
 
 import dataclasses
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -18,6 +17,7 @@ from lumitree.core.device import on_device
 from lumitree.core.octahedral import octahedral
 from lumitree.output.geometry_meshes import geometry_meshes, meshed
 from lumitree.output.viewer.patterns import SIDE, WRAPS, Patterns
+from lumitree.output.viewer.smoothing import smoothed
 from lumitree.output.viewer.surfaces import Kind, Surface, page_surface
 from lumitree.output.viewer.triangles import Triangles
 from lumitree.rendering.studio import portrait_half_width, studio_lights
@@ -31,8 +31,6 @@ _PLACE_CODES = 1 << 13
 _CODES_A_STOP, _STOPS = 32, 30
 # Paths that end at all triangles together; and at one, at least and at most.
 _PATHS, _LEAST_PATHS, _MOST_PATHS = 1 << 20, 4, 128
-# Paths that a vertex has, or shares by smoothing with its neighbours; a step joins about as many.
-_PATHS_A_VERTEX, _JOINED = 512, 7
 
 
 @dataclasses.dataclass(frozen=True)
@@ -137,41 +135,32 @@ def _sent_out(
     # The back is a surface of its own, whose triangles turn the other way.
     faces = np.concatenate([fronts, backs[:, ::-1] + count])
     paths = int(np.clip(_PATHS // len(faces), _LEAST_PATHS, _MOST_PATHS))
-    both = np.concatenate([vertices, vertices])
+    both, patterns = np.concatenate([vertices, vertices]), np.concatenate([pattern, pattern])
     name = f"surfaces of {asset.luminaire}" + (", softly lit" if lights else "")
-    radiance = vertex_radiance(asset, both, faces.astype(np.uint32), paths, name, lights)
-    # A vertex has a third of the paths of six triangles.
-    steps = math.ceil(max(0.0, _PATHS_A_VERTEX / (2 * paths) - 1) / _JOINED)
-    front, back = np.split(_smoothed(radiance, np.concatenate([pattern, pattern]), faces, steps), 2)
+    # Half of the paths alike for all triangles, half by area, which a pattern's means do not count.
+    corners = both[faces]
+    area = np.linalg.norm(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+    )
+    shaded = (patterns[faces] != 1).any(axis=(1, 2))
+    share = np.where(shaded, 1, np.rint(area / area.mean())).astype(np.int64)
+    rows = np.repeat(faces, 1 + share, axis=0)
+    radiance, variance = vertex_radiance(
+        asset, both, rows.astype(np.uint32), paths // 2, name, lights
+    )
+    # A path counts for three vertices.
+    number = np.bincount(rows.ravel(), minlength=2 * count) * (paths // 2 / 3)
+    used, order = np.unique(faces, return_inverse=True)
+    columns = radiance[used]
+    if shaded.any():
+        columns = np.concatenate([columns, patterns[used]], axis=1)
+    found = smoothed(columns, variance[used], number[used], both[used], order.reshape(faces.shape))
+    if shaded.any():
+        found = found[:, :3] / np.maximum(found[:, 3:], 1e-9)
+    result = np.zeros((2 * count, 3), np.float32)
+    result[used] = found
+    front, back = np.split(result, 2)
     return np.concatenate([front, back], axis=1)
-
-
-def _smoothed(
-    values: NDArray[np.float32],
-    pattern: NDArray[np.float32],
-    faces: NDArray[np.integer],
-    steps: int,
-) -> NDArray[np.float32]:
-    """Means of vertices and their neighbours, `steps` times, relative to those of their pattern.
-
-    Args:
-        values: [V, 3], each with as many paths as the vertex has triangles.
-        pattern: [V, 3], likewise.
-    """
-    from scipy.sparse import coo_array
-
-    count = len(values)
-    weight = np.bincount(faces.ravel(), minlength=count).astype(np.float64)
-    starts, ends = faces.ravel(), np.roll(faces, 1, axis=1).ravel()
-    rows, columns = np.concatenate([starts, ends]), np.concatenate([ends, starts])
-    # Both directions of a side that two triangles share are there twice.
-    links = coo_array((np.full(len(rows), 0.5), (rows, columns)), (count, count)).tocsr()
-    links.setdiag(1.0)
-    total = np.concatenate([values, pattern], axis=1) * weight[:, None]
-    share = 1 / np.maximum(links.sum(axis=0), 1)
-    for _ in range(steps):
-        total = links @ (total * share[:, None])
-    return (total[:, :3] / np.maximum(total[:, 3:], 1e-9)).astype(np.float32)
 
 
 def _codes(values: NDArray[np.floating], count: int) -> NDArray[np.floating]:

@@ -14,7 +14,9 @@ from lumitree.asset.geometry import AssetGeometry
 from lumitree.asset.geometry_media import MEDIA_SIDES, scattering_sides, side_medium
 from lumitree.asset.materials import transmits
 from lumitree.asset.textures import Json
-from lumitree.output.optics import normal_reflectance, relative_index
+from lumitree.lamp.conductors import normal_reflectance
+from lumitree.lamp.metallic_roughness import METALLIC_ROUGHNESS
+from lumitree.output.optics import relative_index
 
 # Metals of a larger alpha end rays: what they reflect has no directions. Mitsuba's default.
 _LARGEST_ALPHA, _DEFAULT_ALPHA = 1.0, 0.1
@@ -96,12 +98,12 @@ def page_surface(geometry: AssetGeometry, shape: Json, scale: float) -> Surface:
     ends = Surface(Kind.ENDS, has_back=two_sided or _has_back(material), emits=emits)
     if emits or scattering_sides(shape):
         return ends
+    name, alpha = material["type"], _alpha(material)
     common = {
         "smooth": shape.get("normals", shape["type"] != "mesh"),
-        "ggx": material.get("distribution") == "ggx",
+        "ggx": name == METALLIC_ROUGHNESS or material.get("distribution") == "ggx",
         **_media(shape, scale),
     }
-    name, alpha = material["type"], _alpha(material)
     if name in ("dielectric", "thindielectric", "roughdielectric") and alpha is not None:
         return Surface(
             Kind.THIN_GLASS if name == "thindielectric" else Kind.GLASS,
@@ -111,6 +113,8 @@ def page_surface(geometry: AssetGeometry, shape: Json, scale: float) -> Surface:
             transmitted=_colour(material, "specular_transmittance"),
             **common,
         )
+    if name == METALLIC_ROUGHNESS and (found := _metallic_roughness(material)) is not None:
+        return dataclasses.replace(found, has_back=found.has_back or two_sided, **common)
     if name in ("conductor", "roughconductor") and alpha is not None and alpha <= _LARGEST_ALPHA:
         tint = np.array(_colour(material, "specular_reflectance"))
         return Surface(
@@ -123,9 +127,26 @@ def page_surface(geometry: AssetGeometry, shape: Json, scale: float) -> Surface:
     return ends
 
 
+def _metallic_roughness(material: Json) -> Surface | None:
+    """Rough glass or metal; None for another surface, where rays end."""
+    keys = ("metallic", "spec_trans", "roughness", "clearcoat", "anisotropic", "base_color")
+    values = [material.get(key, 0.5 if key in ("roughness", "base_color") else 0) for key in keys]
+    if material.get("thin", False) or any(isinstance(value, dict) for value in values):
+        return None
+    metallic, transmission, roughness, coat, anisotropy, colour = values
+    base = tuple(np.broadcast_to(np.array(colour, float), 3).tolist())
+    if coat or anisotropy or metallic + transmission != 1 or 0 < metallic < 1:
+        return None
+    if metallic == 1:
+        return Surface(Kind.METAL, has_back=False, alpha=roughness**2, reflected=base)
+    tint = tuple(np.sqrt(base).tolist())
+    index = material.get("eta", 1.5)
+    return Surface(Kind.GLASS, alpha=roughness**2, index=index, transmitted=tint)
+
+
 def _has_back(material: Json) -> bool:
     """Whether a material scatters light at its back, too."""
-    if material["type"] == "twosided" or transmits(material):
+    if material["type"] == "twosided" or material.get("thin", False) or transmits(material):
         return True
     return any(map(_has_back, material.get("nested", [])))
 

@@ -26,6 +26,7 @@ from numpy.typing import ArrayLike
 
 from lumitree.core.backend import load_mitsuba
 from lumitree.errors import LumitreeError
+from lumitree.lamp.metallic_roughness import register_metallic_roughness
 
 if TYPE_CHECKING:
     from lumitree.asset.asset import Asset
@@ -58,6 +59,7 @@ def register() -> None:
     mi.register_emitter("lumitree", emitter)
     mi.register_bsdf("lumitree_null", bsdf)
     mi.register_integrator("lumitree_path", integrator)
+    register_metallic_roughness()
 
     def make_proxy(props: Any) -> Any:
         try:

@@ -12,11 +12,9 @@ from lumitree.lamp.parts import RGB, Diffuse, Glass, Medium, Principled, Surface
 # Roughness below which a surface is smooth: alpha would be less than 0.001, the smallest of
 # Mitsuba's rough models.
 SMOOTH = 0.03
-# The index of Mitsuba's rough glass must differ from that of air, and that of its principled BSDF
-# must be at least 1.001 in the geometry of an asset. An attenuation colour of 0 has no logarithm.
-_MIN_IOR, _MIN_PRINCIPLED_IOR, _MIN_ATTENUATION = 1.0001, 1.001, 1e-4
-# And at most this.
-_MAX_IOR = 10.0
+# Limits of the index of refraction in the geometry of an asset. An attenuation colour of 0 has no
+# logarithm.
+_MIN_IOR, _MAX_IOR, _MIN_ATTENUATION = 1.001, 10.0, 1e-4
 
 
 @dataclasses.dataclass(frozen=True)
@@ -93,7 +91,7 @@ def _glass(layers: Layers, base: Base, volume: Volume, solid: bool, thickness: f
         layers.note(f"{name} of clear glass (left out)")
     roughness = base.roughness.mean()[0]
     roughness = 0.0 if roughness <= SMOOTH else roughness
-    ior = max(_ior(layers, transmits=True), _MIN_IOR)
+    ior = _reflection(layers, transmits=True)[0]
     if solid:
         absorbing = any(volume.absorption)
         medium = Medium(volume.absorption) if absorbing else None
@@ -112,18 +110,18 @@ def _principled(
     thin: bool,
 ) -> Principled:
     roughness, anisotropy = _anisotropy(layers, base.roughness)
-    clearcoat, gloss = _clearcoat(layers)
-    if thin and not (base.metallic.black() and clearcoat.black()):
-        layers.note("metal and clear coat of a thin transmitting sheet (left out)")
+    clearcoat, clearcoat_roughness = _clearcoat(layers)
+    ior, specular = _reflection(layers, transmits=not transmission.black())
     return Principled(
         textures.colour(base.colour),
-        0.0 if thin else textures.value(base.metallic),
+        textures.value(base.metallic),
         textures.value(roughness),
         textures.value(anisotropy),
-        max(_ior(layers, transmits=not transmission.black()), _MIN_PRINCIPLED_IOR),
+        ior,
+        textures.value(specular),
         sheen=textures.value(_sheen(layers)),
-        clearcoat=0.0 if thin else textures.value(clearcoat),
-        clearcoat_gloss=gloss,
+        clearcoat=textures.value(clearcoat),
+        clearcoat_roughness=clearcoat_roughness,
         transmission=textures.value(transmission),
         diffuse_transmission=2 * scattered,
         thin=thin,
@@ -163,54 +161,52 @@ def _diffuse_transmission(layers: Layers, solid: bool) -> float:
     return layers.single(share, "texture of the diffuse transmission")[0]
 
 
-def _ior(layers: Layers, transmits: bool) -> float:
-    """Index of refraction, which represents KHR_materials_specular too where that is possible."""
+def _reflection(layers: Layers, transmits: bool) -> tuple[float, Map]:
+    """Index of refraction of the dielectric, and the factor of its reflection."""
     extension = layers.item.extension("KHR_materials_ior")
     ior = 1.5 if extension is None else extension.number("ior", 1.5, 0.0)
     if 0 < ior < 1 and extension is not None:
         raise extension.error(f"is damaged: ior is {ior:g}; expected 0, or at least 1")
-    specular = layers.item.extension("KHR_materials_specular")
+    specular, factor = layers.item.extension("KHR_materials_specular"), constant(1.0)
     if ior > _MAX_IOR:
         layers.note(f"ior of {ior:g} ({_MAX_IOR:g} is used)")
-        ior = _MAX_IOR
-    if specular is None and ior >= 1:
-        return ior
-    if transmits:
+    if transmits and specular is not None:
         layers.note("specular factors (light is refracted by the ior alone)")
-        return ior if ior >= 1 else 1.5
-    # An ior of 0 stands for an infinite one.
-    reflected = ((ior - 1) / (ior + 1)) ** 2
-    if specular is not None:
+    elif specular is not None:
         factor = layers.value(specular, "specularFactor", 1.0, "A", "specularTexture")
         colour = layers.colour(specular, "specularColor", (1.0, 1.0, 1.0), np.inf)
         tint = layers.single(colour, "texture of the specular colour")
         if max(tint) > min(tint):
             layers.note("specular colour (its mean is used)")
-        share = layers.single(factor, "texture of the specular factor")[0]
-        reflected = min(reflected * float(np.mean(tint)), 1.0) * share
-    root = np.sqrt(min(reflected, 1.0))
-    return _MAX_IOR if root >= 1 else min(float((1 + root) / (1 - root)), _MAX_IOR)
+        # The colour is a factor of the reflectance at normal incidence.
+        root = min(abs(ior - 1) / (ior + 1) * float(np.mean(tint)) ** 0.5, 1.0)
+        # Beyond the largest ior the factor has the rest.
+        largest = (_MAX_IOR - 1) / (_MAX_IOR + 1)
+        excess = max(root / largest, 1.0) ** 2
+        factor = factor.applied(lambda values: np.minimum(values * excess, 1))
+        root = min(root, largest)
+        ior = (1 + root) / (1 - root)
+    if ior == 0:
+        # It stands for an infinite one.
+        ior = 1.5 if transmits else _MAX_IOR
+    return min(max(ior, _MIN_IOR), _MAX_IOR), factor
 
 
 def _clearcoat(layers: Layers) -> tuple[Map, float]:
-    """Mitsuba's clear coat and its gloss, whose alpha is 0.1 at gloss 0 and 0.001 at 1."""
+    """The clear coat and its roughness."""
     extension = layers.item.extension("KHR_materials_clearcoat")
     if extension is None:
         return constant(0.0), 0.0
     coat = layers.value(extension, "clearcoatFactor", 0.0, "R", "clearcoatTexture")
     if coat.black():
         return coat, 0.0
-    layers.note("clear coat (weaker at grazing angles)")
     rough = layers.value(
         extension, "clearcoatRoughnessFactor", 0.0, "G", "clearcoatRoughnessTexture"
     )
-    alpha = layers.single(rough, "texture of the clear coat's roughness")[0] ** 2
-    if alpha > 0.1:
-        layers.note("roughness of the clear coat (at most 0.32)")
     own = extension.item("clearcoatNormalTexture").index("index")
     if own != layers.item.item("normalTexture").index("index"):
         layers.note("normals of the clear coat (the material's are used)")
-    return coat, float(np.clip((0.1 - alpha) / 0.099, 0.0, 1.0))
+    return coat, layers.single(rough, "texture of the clear coat's roughness")[0]
 
 
 def _sheen(layers: Layers) -> Map:

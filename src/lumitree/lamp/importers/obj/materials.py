@@ -3,10 +3,11 @@
 1. Glass where `illum` is 4, 6, 7 or 9, or `d` is below 1 while `Ni` is above 1: `Ni` is the index
    of refraction (1.5 if it is no more than 1) and `Tf` the transmittance of the whole object. Glass
    is solid where the mesh is closed, otherwise one thin sheet. `d` has no further effect.
-2. Principled where there is a physically based key (`Pr`, `Pm`, `Ps`, `Pc`, `Pcr`, `aniso`).
+2. Metallic-roughness where there is a physically based key (`Pr`, `Pm`, `Ps`, `Pc`, `Pcr` or
+   `aniso`).
 3. Metal where `illum` is 3 or 5 and `Ks` is at least as bright as `Kd`: it reflects `Ks`.
-4. Principled where `Ks` is not black and `illum` is not 0 or 1: `Kd`, with the roughness that
-   corresponds to `Ns`.
+4. Metallic-roughness where `Ks` is not black and `illum` is not 0 or 1: `Kd`, with the roughness
+   that corresponds to `Ns`.
 5. Diffuse `Kd`.
 
 In materials other than glass, `d` or 1 - `Tr` is the opacity. `Ke` is the emitted radiance,
@@ -139,8 +140,7 @@ class _Reader:
             ior=ior,
             sheen=self._value("Ps", 0.0),
             clearcoat=self._unit("Pc", 0.0),
-            # Mitsuba's alpha is 0.1 at gloss 0, and 0.001 at gloss 1.
-            clearcoat_gloss=float(np.clip((0.1 - self._unit("Pcr", 0.0) ** 2) / 0.099, 0, 1)),
+            clearcoat_roughness=self._unit("Pcr", 0.0),
         )
 
     def _base(self) -> Colour:

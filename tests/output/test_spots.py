@@ -1,0 +1,145 @@
+"""Exports for Blender's importers: spots with the illumination of the lamp."""
+
+import dataclasses
+import json
+import os
+import subprocess
+
+import numpy as np
+import pytest
+
+import lumitree
+from lumitree.asset.asset import light_field_asset
+from lumitree.asset.light_field import make_light_field
+from lumitree.cli import main
+from lumitree.core.frames import LocalFrame
+from lumitree.core.octahedral import middle_directions, solid_angles
+from support.geometry_assets import small_geometry
+
+pytestmark = pytest.mark.usefixtures("mi")
+
+blender = os.environ.get("LUMITREE_BLENDER_PYTHON")
+RESOLUTION = 16
+
+
+def lamp():
+    """A downlight with a shade, one cell of which emits evenly; y up."""
+    directions = middle_directions(RESOLUTION)
+    down = np.maximum(-directions[:, 1], 0)
+    intensity = np.zeros((2, RESOLUTION**2, 3))
+    intensity[0] = (down * (down > 0.5))[:, None] * [1.0, 0.8, 0.5]
+    intensity[1] = 0.02
+    field = make_light_field(np.array([[1, 0, 1], [0, 1, 0]]), intensity, 1)
+    frame = LocalFrame(np.ones(3), np.eye(4))
+    return light_field_asset(field, frame, "downlight")
+
+
+def irradiance(directions, intensity):
+    """Sums over directions of intensity times cosine [16], to 16 sides; 0 where it is dark."""
+    cosine = np.maximum(directions @ middle_directions(4).T, 0)
+    return intensity @ (cosine * solid_angles(RESOLUTION)[:, None])
+
+
+def test_spots_have_flux_and_illumination_of_the_lights():
+    from lumitree.output.orientation import turn_up
+    from lumitree.output.point_lights import place_lights
+    from lumitree.output.spots import spots_of
+
+    placed = place_lights(lamp(), turn_up("z", "y"), 2)
+    directions = middle_directions(RESOLUTION) @ placed.rotation.T
+    local = placed.local.intensity.sum(axis=0) @ [0.2126, 0.7152, 0.0722]
+    expected = local * placed.scale**2
+    found, flux = np.zeros(len(directions)), 0.0
+    for spot in spots_of(placed):
+        border = np.cos(np.radians(spot.half_angle))
+        place = np.clip((directions @ spot.axis - border) / (1 - border), 0, 1)
+        luminance = spot.candela / 683 * np.dot(spot.colour, [0.2126, 0.7152, 0.0722])
+        flux += luminance * np.pi * (1 - border)
+        found += luminance * (3 * place**2 - 2 * place**3)
+        x, y, _, w = spot.rotation
+        # The quaternion turns -z to the axis.
+        np.testing.assert_allclose(
+            [-2 * w * y, 2 * w * x, 2 * (x**2 + y**2) - 1], spot.axis, atol=1e-6
+        )
+    weight = solid_angles(RESOLUTION)
+    assert flux == pytest.approx(expected @ weight, rel=1e-6)
+    wanted = irradiance(directions, expected)
+    lit = wanted > 0.1 * wanted.max()
+    np.testing.assert_allclose(irradiance(directions, found)[lit], wanted[lit], rtol=0.04)
+
+
+def test_exports_say_that_blender_makes_other_light_of_them(tmp_path, capsys):
+    lumitree.save(lamp(), tmp_path / "lamp.lumitree")
+    arguments = ["export", str(tmp_path / "lamp.lumitree"), "-o", str(tmp_path / "lamp.glb")]
+    assert main(arguments) == 0
+    assert "note: Blender's importer makes other light of it" in capsys.readouterr().out
+    assert main([*arguments, "--importer", "blender"]) == 0
+    assert "makes other light" not in capsys.readouterr().out
+    with pytest.raises(
+        lumitree.LumitreeError, match=r"for .glb, .usda and .usdz, and the output is for Radiance"
+    ):
+        lumitree.export(lamp(), tmp_path / "lamp.rad", importer="blender")
+
+
+# Mean irradiance, W/m², of a plane of 2 m, 1 m away: by Cycles, of Blender's importers.
+SCRIPT = """
+import bpy, json, math, runpy, sys, numpy
+file, folder = sys.argv[1:]
+sys.argv = sys.argv[:1]
+found = []
+for place, turn in (((0, 0, -1), (0, 0, 0)), ((0, -1, 0), (-math.pi / 2, 0, 0))):
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    if file.endswith(".py"):
+        runpy.run_path(file, run_name="__main__")
+    elif file.endswith(".glb"):
+        bpy.ops.import_scene.gltf(filepath=file)
+    else:
+        bpy.ops.wm.usd_import(filepath=file)
+    bpy.ops.mesh.primitive_plane_add(size=2, location=place, rotation=turn)
+    material = bpy.data.materials.new("white")
+    material.use_nodes = True
+    nodes = material.node_tree.nodes
+    nodes.clear()
+    diffuse, output = nodes.new("ShaderNodeBsdfDiffuse"), nodes.new("ShaderNodeOutputMaterial")
+    diffuse.inputs[0].default_value = (1, 1, 1, 1)
+    material.node_tree.links.new(diffuse.outputs[0], output.inputs[0])
+    bpy.context.object.data.materials.append(material)
+    camera = bpy.data.cameras.new("camera")
+    camera.type, camera.ortho_scale = "ORTHO", 2
+    stand = bpy.data.objects.new("camera", camera)
+    stand.location, stand.rotation_euler = [0.9 * each for each in place], turn
+    bpy.context.collection.objects.link(stand)
+    scene = bpy.context.scene
+    scene.camera, scene.render.engine, scene.cycles.samples = stand, "CYCLES", 256
+    scene.render.resolution_x = scene.render.resolution_y = 32
+    scene.render.image_settings.file_format = "OPEN_EXR"
+    scene.render.image_settings.color_depth = "32"
+    scene.render.filepath = folder + "/plane.exr"
+    bpy.ops.render.render(write_still=True)
+    image = bpy.data.images.load(scene.render.filepath)
+    pixels = numpy.array(image.pixels[:]).reshape(-1, 4)[:, :3]
+    found.append((math.pi * pixels.mean(axis=0)).tolist())
+print("FOUND", json.dumps(found))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not blender, reason="LUMITREE_BLENDER_PYTHON is not set")
+@pytest.mark.parametrize("suffix", [".glb", ".usda", ".usdz"])
+def test_blender_s_importers_illuminate_planes_as_the_script_does(tmp_path, suffix):
+    if suffix != ".glb":
+        pytest.importorskip("pxr", reason="the optional dependency usd is not installed")
+    asset = dataclasses.replace(lamp(), geometry=small_geometry())
+    (tmp_path / "plane.py").write_text(SCRIPT)
+    found = {}
+    for name, options in ((".py", {}), (suffix, {"importer": "blender"})):
+        path = tmp_path / f"lamp{name}"
+        lumitree.export(asset, path, unit=0.1, **options)
+        command = [str(blender), str(tmp_path / "plane.py"), str(path), str(tmp_path)]
+        environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
+        output = subprocess.run(
+            command, capture_output=True, text=True, check=True, env=environment
+        )
+        line = next(each for each in output.stdout.splitlines() if each.startswith("FOUND"))
+        found[name] = json.loads(line.removeprefix("FOUND"))
+    np.testing.assert_allclose(found[suffix], found[".py"], rtol=0.05)
