@@ -1,6 +1,10 @@
 """Photometric files and ray files are taken wherever an asset is."""
 
+import base64
+import dataclasses
+import io
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,9 +24,13 @@ from lumitree.formats.type_c import Grid, IntensityDistribution
 from lumitree.lamp.source import LuminaireSource, source_kind
 from lumitree.rendering.asset_cache import open_asset
 from lumitree.rendering.asset_flux import asset_lumens, asset_watts
+from support.fields import uniform_asset
+from support.gldf_files import l3d, product, zipped
 from support.lamps import AREA, scene, sphere
+from support.light_fields import random_light_field
 from support.slow import slow
 from support.tiny_bakes import set_qualities, standard
+from support.tm33_files import tm33
 from support.walls import irradiance
 
 FILES = ("a.ies", "B.LDT", "c.Ray", "d.TM25RAY")
@@ -149,13 +157,92 @@ def test_a_wall_gets_the_intensity_of_the_file(mi, folder, how):
     assert luminance(found) == pytest.approx(100 / 9, rel=0.03)
 
 
+def lux_below(distance, placement, unit="m"):
+    """Illuminance at a distance below a lamp at the origin, lx."""
+    plane = lumitree.Plane((0, -distance, 0), extent=(1e-3, 1e-3), spacing=1e-3)
+    room = {
+        "type": "scene",
+        "floor": {"type": "sphere", "center": [0, -2 * distance, 0], "radius": distance / 9},
+    }
+    found = lumitree.illuminance(
+        room, [placement], planes=[plane], unit=unit, direct_only=True, progress=None
+    )
+    return float(found.total[0])
+
+
+@pytest.mark.parametrize("name", ["a.ies", "B.LDT", "a.lumitree", "lamp.tm33"])
+def test_the_size_of_a_file_is_that_of_its_opening_alone(name, folder):
+    """E = I / d² whatever the size: intensities of a file are absolute."""
+    lumitree.bake_photometric("a.ies", "a.lumitree")
+    (folder / "lamp.tm33").write_text(tm33())
+    own, small, large = (
+        lux_below(5, lumitree.Placement(name, at=(0, 0, 0), size=size)) for size in (None, 0.05, 1)
+    )
+    assert (small, large) == pytest.approx((own, own), rel=0.02)
+    assert own == pytest.approx((300 if name == "lamp.tm33" else 100) / 25, rel=0.01)
+    dimmed = lumitree.Placement(name, at=(0, 0, 0), size=1, gain=0.5)
+    assert lux_below(5, dimmed) == pytest.approx(large / 2, rel=1e-3)
+
+
+@pytest.mark.parametrize("size", [None, 20, 50])
+def test_a_file_in_a_scene_in_centimetres_gives_the_same_lux(size):
+    """100 cd at 5 m; the file states metres, so that its own size is 20 cm."""
+    lamp = lumitree.Placement("a.ies", at=(0, 0, 0), size=size)
+    assert lux_below(500, lamp, "cm") == pytest.approx(100 / 25, rel=0.01)
+    watts = dataclasses.replace(lamp, lumens=300.0, gain=0.5)
+    assert lux_below(500, watts, "cm") == pytest.approx(150 / np.pi / 25, rel=0.01)
+
+
+@pytest.mark.parametrize("appearance", ["field", "geometry"])
+def test_a_shape_of_a_file_keeps_its_intensities_when_it_is_scaled(mi, appearance, folder):
+    lumitree.register()
+    gldf = {
+        "product.xml": product(),
+        "geo/lamp.l3d": l3d(),
+        "ldc/lamp.ldt": Path("B.LDT").read_bytes(),
+    }
+    (folder / "lamp.gldf").write_bytes(zipped(gldf))
+    name = "a.ies" if appearance == "field" else "lamp.gldf"
+    values = []
+    for scale in (1.0, 3.0):
+        to_world = mi.ScalarTransform4f().scale(scale)
+        lamp = {"lamp": lumitree.shape(name, to_world, gain=0.5, appearance=appearance)}
+        found, _ = irradiance(mi, lamp, [0, -6, 0], [0, 1, 0], samples=1 << 14)
+        values.append(luminance(found))
+        # The parameter is the gain that was given.
+        gains = [v for k, v in mi.traverse(mi.load_dict({"type": "scene", **lamp})) if "gain" in k]
+        assert np.ravel(gains[0]).tolist() == pytest.approx([0.5] * 3)
+    assert values == pytest.approx([100 / 36 / 2] * 2, rel=0.04)
+
+
+def test_a_file_keeps_its_flux_when_its_lamp_is_scaled_in_blender(mi):
+    from lumitree.output.blender.script import make_script
+
+    for name, asset in (("file", open_asset("a.ies")), ("lamp", uniform_asset(1.0, [1, 1, 1]))):
+        if name == "lamp":
+            asset = dataclasses.replace(asset, light_field=random_light_field(0))
+        data = make_script(asset, 4, "y").text.split('DATA = """')[1].split('"""')[0]
+        description = np.load(io.BytesIO(base64.b64decode(data)))["description"].tobytes()
+        assert json.loads(description).get("absolute", False) == (name == "file")
+
+
+@pytest.mark.parametrize("scale", [0.1, 1, 7])
+def test_a_ray_file_has_its_flux_at_any_size(mi, scale):
+    lamp = lumitree.shape("c.Ray", mi.ScalarTransform4f().scale(scale))
+    emitter = mi.load_dict({"type": "scene", "lamp": lamp}).emitters()[0]
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(0, 1 << 16)
+    _, flux = emitter.sample_ray(0.0, sampler.next_1d(), sampler.next_2d(), sampler.next_2d())
+    assert np.ravel(flux).mean() == pytest.approx(2000 * 1e-3, rel=0.01)
+
+
 def test_a_placed_file_has_the_flux_and_the_colour_that_are_asked_for():
     from lumitree.rendering.scene import PlacedLuminaire
 
     placement = lumitree.Placement("a.ies", size=0.4, lumens=800, temperature=2700)
     assert placement.is_baked
     placed = PlacedLuminaire(placement)
-    watts = asset_watts(placed.field.asset) * placed.gain * 2**2
+    watts = asset_watts(placed.field.asset) * placed.gain
     assert luminance(watts) == pytest.approx(800)
     assert colour_temperature(watts)[0] == pytest.approx(2700, rel=1e-3)
 

@@ -156,6 +156,37 @@ def test_other_angles_of_types_a_and_b_are_refused(horizontal, vertical):
             convert(np.array(horizontal, float), np.array(vertical, float), values)
 
 
+@pytest.mark.parametrize("convert", [type_a, type_b])
+def test_one_horizontal_angle_is_no_symmetry_of_types_a_and_b(convert):
+    """LM-63 has it for Type C alone."""
+    kind = "A" if convert is type_a else "B"
+    with pytest.raises(
+        LumitreeError,
+        match=f"horizontal angles are 0, its vertical angles -90 to 90; expected several .*{kind}",
+    ):
+        convert(np.zeros(1), ANGLES, np.full((1, 19), 100.0))
+
+
+def test_limits_of_angles_are_those_of_the_type():
+    """H of Type A and V of Type B are longitudes about the axis, within -180 to 180 degrees."""
+    wide, narrow = np.arange(-180.0, 181, 10), ANGLES
+    values = np.full((37, 19), 100.0)
+    for convert, angles, light in (
+        (type_a, (wide, narrow), values),
+        (type_b, (narrow, wide), values.T),
+    ):
+        lamp = IntensityDistribution("", *convert(*angles, light))
+        # 100 cd in all directions.
+        assert lamp.lumens == pytest.approx(400 * np.pi, rel=1e-3)
+    for convert, angles, light in (
+        (type_a, (narrow, wide), values.T),
+        (type_b, (wide, narrow), values),
+    ):
+        shown = ["-180 to 180" if each is wide else "-90 to 90" for each in angles]
+        with pytest.raises(LumitreeError, match=f"are {shown[0]}, its vertical angles {shown[1]}"):
+            convert(*angles, light)
+
+
 def test_small_negative_intensities_are_noise():
     values, least = without_noise(np.array([[1000.0, -0.05, 3]]))
     assert (values.tolist(), least) == ([[1000, 0, 3]], -0.05)

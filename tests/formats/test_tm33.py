@@ -1,5 +1,6 @@
 """IES TM-33 files as lamps, against the intensities that they state."""
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -85,6 +86,31 @@ def test_symmetry_and_other_spellings(made):
     assert found.intensity.tolist() == first.intensity.tolist()
 
 
+@pytest.mark.parametrize(
+    ("rated", "warns"),
+    [
+        ("<RatedLumens>4000</RatedLumens>", True),
+        ("<RatedLumens>942</RatedLumens>", False),
+        ("<Quantity>2</Quantity><RatedLumens>471</RatedLumens>", False),
+        ("<RatedLumens>471</RatedLumens>", True),
+        ("", False),
+    ],
+)
+def test_lamps_of_another_flux_are_warned_of(made, rated, warns):
+    """300 cos γ (1 + a part without flux) cd are 300 pi = 942 lm."""
+    name = made(before=rated)
+    text = Path(name).read_text()
+    Path(name).write_text(text.replace("<Quantity>1</Quantity>", "", 1))
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        read_tm33(name)
+    texts = [str(each.message) for each in found]
+    lumens = rated.split("<RatedLumens>")[-1].split("<")[0]
+    expected = f"its intensities have 941.879 lm, where its lamps are rated at {lumens} lm"
+    assert any(expected in text for text in texts) == warns
+    assert len(texts) == int(warns)
+
+
 def test_factors(made):
     plain = read_tm33(made())[0].lumens
     doubled = read_tm33(made(table(extra="<Multiplier>2</Multiplier>")))[0].lumens
@@ -99,7 +125,7 @@ def test_factors(made):
     )
     with pytest.warns(LumitreeWarning, match="the one for 0 degrees, 0.5, is used"):
         assert read_tm33(made(before=tilt))[0].lumens == pytest.approx(0.5 * plain)
-    with pytest.warns(LumitreeWarning, match="where it states 500 lm"):
+    with pytest.warns(LumitreeWarning, match="941.879 lm, where it states 500 lm"):
         read_tm33(made(table() + "<LuminousFlux>500</LuminousFlux>"))
     assert read_tm33(made(emitters=2))[0].lumens == pytest.approx(2 * plain)
 

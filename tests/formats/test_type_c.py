@@ -5,6 +5,7 @@ import pytest
 
 from lumitree.core.directions import halton_direction
 from lumitree.errors import LumitreeError
+from lumitree.formats.opening import Opening
 from lumitree.formats.type_c import (
     Grid,
     IntensityDistribution,
@@ -147,3 +148,16 @@ def test_unusable_intensities_are_refused(value):
     intensity = np.array([[1.0, value]])
     with pytest.raises(LumitreeError, match="intensities"):
         IntensityDistribution("", np.zeros(1), np.array([0.0, 180]), intensity)
+
+
+@pytest.mark.parametrize("lumens", [np.nan, np.inf, -np.inf, -1.0])
+def test_no_number_that_is_not_finite_reaches_a_file(lumens):
+    grid = Grid(30)
+    values = np.ones((len(grid.c), len(grid.gamma)))
+    with pytest.raises(LumitreeError, match=r"flux of the bare emitters of lamp is -?(nan|inf|1) "):
+        IntensityDistribution("lamp", grid.c, grid.gamma, values, emitted_lumens=lumens)
+    for wrong in (np.nan, np.inf):
+        with pytest.raises(LumitreeError, match="intensities hold NaN"):
+            IntensityDistribution("lamp", grid.c, grid.gamma, values * wrong)
+        with pytest.raises(LumitreeError, match="the opening is"):
+            Opening((wrong, 0.0, 1.0))

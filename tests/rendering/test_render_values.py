@@ -170,15 +170,15 @@ def test_lumens_are_those_of_the_scene_in_its_unit(mi, room):
     assert_similar(images[2], images[1])
 
 
-def test_a_file_in_metres_in_a_scene_in_centimetres_is_warned_of(mi, tmp_path):
+def test_a_file_in_metres_is_as_large_in_a_scene_in_centimetres(mi, tmp_path):
     from lumitree.rendering.scene import open_placements
 
     (tmp_path / "a.ies").write_text(ies("C", [0], [0, 90], [[100, 0]]))
-    with pytest.warns(LumitreeWarning, match=r"size in metres, .* right with --size 40$"):
-        open_placements([lumitree.Placement(tmp_path / "a.ies")], 0.01)
-    for known in ({"size": 40}, {"lumens": 100}):
-        open_placements([lumitree.Placement(tmp_path / "a.ies", **known)], 0.01)
-    open_placements([lumitree.Placement(tmp_path / "a.ies")])
+    for unit, length in ((1, 0.4), (0.01, 40), (0.001, 400)):
+        placed, again = open_placements([lumitree.Placement(tmp_path / "a.ies")] * 2, unit)
+        assert 2 * np.linalg.norm(placed.scene_from_box[:3, 0]) == pytest.approx(length / 2)
+        assert 2 * np.linalg.norm(placed.scene_from_box[:3, 2]) == pytest.approx(length)
+        assert placed.field is again.field
 
 
 @pytest.mark.parametrize("placements", [lumitree.Placement("a.lumitree"), "a.lumitree", [None]])

@@ -97,6 +97,7 @@ def replace(old: Any, new: Any) -> None:
         for collection in old.users_collection:
             collection.objects.link(child)
     old["watts"], old.empty_display_size = new["watts"], new.empty_display_size
+    old["absolute"] = new.get("absolute", False)
     (scratch,) = new.users_collection
     # Parents and drivers refer to the old empty from here on.
     new.user_remap(old)

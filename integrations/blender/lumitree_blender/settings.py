@@ -32,8 +32,8 @@ UP: dict[str, Any] = {
 
 
 def _scale(lamp: Any) -> float:
-    """Mean scale in the world, as drivers have it."""
-    return abs(lamp.matrix_world.to_3x3().determinant()) ** (1 / 3)
+    """Mean scale in the world, as drivers have it; 1 for the flux of a photometric file."""
+    return 1.0 if lamp.get("absolute") else abs(lamp.matrix_world.to_3x3().determinant()) ** (1 / 3)
 
 
 def _get_lumens(settings: Any) -> float:

@@ -125,6 +125,14 @@ class Asset:
         return next(part for part in ("geometry", "field", "light") if part in present)
 
     @property
+    def is_photometric(self) -> bool:
+        """Whether a photometric file or a ray file states its light, with lengths in metres.
+
+        Its intensities and its flux are absolute: they stay if the lamp is scaled.
+        """
+        return self.light_field is not None and self.light_field.absolute
+
+    @property
     def without_gain(self) -> "Asset":
         """The asset with a gain of 1: with the light of the luminaire that it was baked from."""
         return self if self.gain == NO_GAIN else dataclasses.replace(self, gain=NO_GAIN)

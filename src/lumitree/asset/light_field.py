@@ -105,6 +105,8 @@ class LightField:
         traced: the light paths that it was estimated from; None if they are not known.
         inside: light that ends on the luminaire, for receivers inside its box. None if none does,
             as in a photometric file.
+        absolute: whether a photometric file or a ray file states the intensities, so that they do
+            not depend on the size of the lamp.
 
     Raises:
         LumitreeError: a member has a wrong type, shape or range.
@@ -118,6 +120,7 @@ class LightField:
     scale: float
     traced: TracedPaths | None = None
     inside: LightInside | None = None
+    absolute: bool = False
 
     def __post_init__(self) -> None:
         """Refuse what a renderer could not use safely."""
@@ -170,6 +173,8 @@ def make_light_field(
     intensity: NDArray[np.floating],
     depth: int,
     traced: TracedPaths | None = None,
+    *,
+    absolute: bool = False,
 ) -> LightField:
     """A light field from the intensities of all bins.
 
@@ -178,6 +183,7 @@ def make_light_field(
         intensity: [C, R², 3] radiant intensity, local units, at least 0.
         depth: of the grid.
         traced: the light paths that the intensities were estimated from, if they are known.
+        absolute: as of `LightField`.
 
     Raises:
         LumitreeError: nothing is emitted, or a number is out of range.
@@ -201,6 +207,7 @@ def make_light_field(
         resolution=int(np.sqrt(bins)),
         scale=scale,
         traced=traced,
+        absolute=absolute,
     )
 
 

@@ -42,6 +42,8 @@ def light_field_description(field: LightField) -> dict[str, Any]:
         members["traced"] = dataclasses.asdict(field.traced)
     if field.inside is not None:
         members["inside"] = {**inside, "scale": field.inside.scale}
+    if field.absolute:
+        members["absolute"] = True
     return members
 
 
@@ -55,7 +57,7 @@ def build_light_field(description: Record, tensors: dict[str, NDArray[Any]]) -> 
     Raises:
         LumitreeError: the field is invalid.
     """
-    description.expect_keys(*_KEYS, *_COUNTS, optional=("traced", "inside"))
+    description.expect_keys(*_KEYS, *_COUNTS, optional=("traced", "inside", "absolute"))
     resolution = description.integer("resolution")
     own, inside_counts = None, {}
     if description.has("inside"):
@@ -74,6 +76,7 @@ def build_light_field(description: Record, tensors: dict[str, NDArray[Any]]) -> 
         scale=description.number("scale"),
         traced=traced,
         inside=inside,
+        absolute=description.has("absolute") and description.choice("absolute", (True,)),
     )
 
 

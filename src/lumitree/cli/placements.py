@@ -52,7 +52,8 @@ def add_placements(parser: argparse.ArgumentParser) -> None:
         action=Grouped,
         type=float,
         metavar="S",
-        help="largest side of the bounding box, scene units (default: as in the luminaire's file)",
+        help="largest side of the bounding box, scene units (default: as in the luminaire's file); "
+        "the flux of a photometric file stays",
     )
     parser.add_argument(
         "--rotate",
@@ -94,8 +95,8 @@ def add_placements(parser: argparse.ArgumentParser) -> None:
         "--unit",
         metavar="UNIT",
         default="m",
-        help="unit of length of the scene, for --lumens: m, cm, mm, in, ft, or the metres in a "
-        "unit",
+        help="unit of length of the scene, for --lumens and photometric files: m, cm, mm, in, ft, "
+        "or the metres in a unit",
     )
 
 

@@ -38,6 +38,7 @@ _SUFFIXES = {
     ".tm25ray": "a ray file (IES TM-25)",
     ".tm33": TM33,
     ".gldf": "a GLDF file",
+    ".l3d": "an L3D model, which has no intensities: give the GLDF file that it belongs to",
     ".obj": "an OBJ model",
     ".mtl": "a material file of an OBJ model",
     ".gltf": "a glTF model",
@@ -75,7 +76,8 @@ def what_it_is(path: str | os.PathLike[str], content: bytes | None = None) -> st
     by_suffix = _SUFFIXES.get(path.suffix.lower())
     for first, kind in _STARTS.items():
         if start.startswith(first):
-            return by_suffix if (first, path.suffix.lower()) == (b"PK\x03\x04", ".gldf") else kind
+            is_zip = first == b"PK\x03\x04" and path.suffix.lower() in (".gldf", ".l3d")
+            return by_suffix if is_zip else kind
     if (text := in_utf8(start).lstrip()).startswith(b"<"):
         if _is_tm33(text):
             return TM33

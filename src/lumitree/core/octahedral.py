@@ -18,6 +18,7 @@ Symbols
     s, t    place between four middles of bins, 0 to 1
 """
 
+import functools
 import math
 from typing import Any
 
@@ -153,6 +154,7 @@ def bin_density(direction: Any, resolution: int) -> Any:
     return (resolution**2 / 4) / dr.sum(dr.abs(direction)) ** 3
 
 
+@functools.lru_cache(maxsize=8)
 def solid_angles(resolution: int) -> NDArray[np.float64]:
     """Solid angle [R²] of each bin, sr, if directions between the middles of bins share in them.
 
@@ -166,7 +168,10 @@ def solid_angles(resolution: int) -> NDArray[np.float64]:
     weights = np.hstack([rising, rising[::-1]])
     windows = np.lib.stride_tricks.sliding_window_view(density, (2 * fine, 2 * fine))
     sums = np.einsum("ijkl,k,l->ij", windows[::fine, ::fine], weights, weights).ravel()
-    return sums * (4 * np.pi / sums.sum())
+    sums *= 4 * np.pi / sums.sum()
+    # All callers share it.
+    sums.setflags(write=False)
+    return sums
 
 
 def own_solid_angles(resolution: int) -> NDArray[np.float64]:

@@ -17,7 +17,7 @@ def in_utf8(content: bytes) -> bytes:
     UTF-16, with or without a byte order mark, becomes UTF-8. Other encodings are left: UTF-8, or
     one of single bytes.
     """
-    if (encoding := _utf16(content)) is not None:
+    if (encoding := utf16_encoding(content)) is not None:
         content = content.decode(encoding, "replace").encode("utf-8", "replace")
     content = content.removeprefix(b"\xef\xbb\xbf")
     if b"\r" in content:
@@ -50,7 +50,8 @@ def any_characters() -> Iterator[None]:
         yield
 
 
-def _utf16(content: bytes) -> str | None:
+def utf16_encoding(content: bytes) -> str | None:
+    """Name of the encoding of UTF-16, with or without a byte order mark; None for others."""
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
         return "utf-16"
     start = content[:_PROBE]

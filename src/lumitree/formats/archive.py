@@ -4,7 +4,6 @@ Nothing is unpacked under a name that an archive states.
 """
 
 import io
-import lzma
 import os
 import struct
 import zipfile
@@ -13,16 +12,23 @@ import zlib
 from lumitree.core.reading import read_bytes
 from lumitree.errors import LumitreeError, shown
 
-MAX_ARCHIVE_BYTES = 512 * 2**20
+MAX_ARCHIVE_BYTES = 256 * 2**20
 # Bytes of all members that are read of one archive and of those inside it.
-_MAX_UNPACKED = 1 << 30
+_MAX_UNPACKED = 256 * 2**20
 _MAX_MEMBERS = 1 << 14
+# An entry of the list of members begins with it.
+_ENTRY = b"PK\x01\x02"
+# zipfile unpacks other methods without a limit of memory.
+_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+# Encodings of names that are not marked as UTF-8; zipfile takes the first.
+_IS_UTF8 = 0x800
+_ENCODINGS = ("cp437", "cp850", "cp1252", "utf-8")
 _DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, RuntimeError)
-_DAMAGED += (NotImplementedError, KeyError, MemoryError, lzma.LZMAError, struct.error)
+_DAMAGED += (NotImplementedError, KeyError, MemoryError, struct.error)
 
 
 class Archive:
-    """A zip archive, whose members are found by their names in any case.
+    """A zip archive, whose members are found by their names in any case and encoding.
 
     Args:
         content: of the archive.
@@ -38,6 +44,9 @@ class Archive:
         self, content: bytes, name: str, expected: str, outer: "Archive | None" = None
     ) -> None:
         self.name, self._outer, self._unpacked = name, outer, 0
+        # Before the list is read: a file of the largest size may have millions of them.
+        if (count := content.count(_ENTRY)) > _MAX_MEMBERS:
+            raise LumitreeError(f"{name} has {count} members; at most {_MAX_MEMBERS} are read")
         try:
             self._zip = zipfile.ZipFile(io.BytesIO(content))
             members = self._zip.infolist()
@@ -46,15 +55,12 @@ class Archive:
                 f"{name} is damaged, or no zip archive ({type(error).__name__}); expected "
                 f"{expected}"
             ) from None
-        if len(members) > _MAX_MEMBERS:
-            raise LumitreeError(
-                f"{name} has {len(members)} members; at most {_MAX_MEMBERS} are read"
-            )
         # The first of a name counts; exact names come before others.
         self._members: dict[str, zipfile.ZipInfo] = {}
         for key in (_plain, _folded):
-            for member in members:
-                self._members.setdefault(key(member.filename), member)
+            for encoding in _ENCODINGS:
+                for member in members:
+                    self._members.setdefault(key(_name(member, encoding)), member)
 
     @staticmethod
     def open(path: str | os.PathLike[str], expected: str) -> "Archive":
@@ -73,8 +79,13 @@ class Archive:
         below = (name[len(start) :] for name in sorted(found) if _folded(name).startswith(start))
         return [name for name in below if name and "/" not in name]
 
-    def read(self, name: str, expected: str) -> bytes:
+    def read(self, name: str, expected: str, max_bytes: int = _MAX_UNPACKED) -> bytes:
         """Content of a member.
+
+        Args:
+            name: of the member.
+            expected: what it should be, for messages.
+            max_bytes: largest size that is accepted; nothing of a larger member is unpacked.
 
         Raises:
             LumitreeError: it is missing, damaged, encrypted or too large.
@@ -83,18 +94,25 @@ class Archive:
         where = f"{shown(name, 200)} in {self.name}"
         if member is None:
             raise LumitreeError(f"{where} is missing; expected {expected}")
+        if member.compress_type not in _METHODS:
+            raise LumitreeError(
+                f"{where} is compressed by method {member.compress_type} of zip archives; expected "
+                "none or Deflate"
+            )
+        limit = min(max_bytes, self._left())
+        if member.file_size > limit:
+            raise LumitreeError(
+                f"{where} is too large: {member.file_size >> 20} MiB, of which {limit >> 20} MiB "
+                "would be unpacked"
+            )
         try:
             with self._zip.open(member) as file:
-                # The header may state another size.
-                content = file.read(self._left() + 1)
+                # At most the size that is stated.
+                content = file.read()
         except _DAMAGED as error:
             raise LumitreeError(
                 f"{where} is damaged or encrypted ({type(error).__name__}); expected {expected}"
             ) from None
-        if len(content) > self._left():
-            raise LumitreeError(
-                f"{where} is too large: more than {_MAX_UNPACKED >> 20} MiB would be unpacked"
-            )
         self._count(len(content))
         return content
 
@@ -108,6 +126,16 @@ class Archive:
         self._unpacked += size
         if self._outer is not None:
             self._outer._count(size)
+
+
+def _name(member: zipfile.ZipInfo, encoding: str) -> str:
+    """Name of a member in an encoding that it may have."""
+    if member.flag_bits & _IS_UTF8:
+        return member.filename
+    try:
+        return member.filename.encode(_ENCODINGS[0]).decode(encoding)
+    except UnicodeError:
+        return member.filename
 
 
 def _plain(name: str) -> str:

@@ -1,7 +1,6 @@
 """IES LM-63 files of all editions.
 
-They are written by the library photompy, and read here: files of manufacturers differ from the
-standard in more ways than the library accepts.
+Files of manufacturers differ from the standard in more ways than libraries accept.
 
     IESNA:LM-63-2002           edition; missing before 1991
     [KEYWORD] text             any number of lines
@@ -16,6 +15,8 @@ Numbers are separated by spaces, line ends or commas. `ies_fields` has what depe
 
 import os
 import re
+import textwrap
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -56,6 +57,8 @@ _METRES_PER_FOOT = 0.3048
 # Significant digits of the largest intensity in a file.
 _DIGITS = 7
 _MAKER = "lumitree"
+# Characters of a line; the standard allows 256.
+_LINE = 132
 _TYPES = {1: "C", 2: "B", 3: "A"}
 
 
@@ -76,36 +79,36 @@ def ies_content(distribution: IntensityDistribution) -> bytes:
     of the luminous opening is its side along C = 0, the width that along C = 90; their signs state
     its shape.
     """
-    from photompy import IESFile, PhotometricType, Photometry
-
+    emitted, name = distribution.emitted_lumens, one_line(distribution.name)
     planes = np.append(distribution.c, distribution.c[0] + 360)
     values = np.concatenate([distribution.intensity, distribution.intensity[:1]])
-    photometry = Photometry(distribution.gamma, planes, values, PhotometricType.C)
     largest = float(values.max(initial=0)) or 1.0
-    width, length, height = lm63_dimensions(distribution.opening)
-    emitted = distribution.emitted_lumens
-    file = IESFile.from_photometry(
-        photometry,
-        manufacturer=_MAKER,
-        lumcat=one_line(distribution.name),
-        luminaire=one_line(distribution.name),
-        test=_test(distribution),
-        testlab=_MAKER,
-        issuedate=date_of_writing().date().isoformat(),
-        lumens_per_lamp=-1 if emitted is None else round(emitted, 4),
-        width=round(width, 6),
-        length=round(length, 6),
-        height=round(height, 6),
-    )
-    # photompy writes two decimals by default, which loses intensities of some millicandela.
     decimals = max(3, _DIGITS - int(np.ceil(np.log10(largest))))
-    content = _numbers_in_full(file.write(precision=decimals) or b"")
-    return _with_generation(content, distribution.generation or UNDEFINED)
 
+    def row(numbers: Iterable[float], digits: int = decimals) -> str:
+        words = (np.format_float_positional(each + 0.0, digits, trim="0") for each in numbers)
+        return textwrap.fill(" ".join(words), _LINE, subsequent_indent=" ")
 
-def _test(distribution: IntensityDistribution) -> str:
-    """Text of the keyword TEST."""
-    return "simulated" if distribution.generation == SIMULATED else "converted"
+    keywords = {
+        "TEST": "simulated" if distribution.generation == SIMULATED else "converted",
+        "TESTLAB": _MAKER,
+        "ISSUEDATE": date_of_writing().date().isoformat(),
+        "MANUFAC": _MAKER,
+        "LUMCAT": name,
+        "LUMINAIRE": name,
+    }
+    lines = [
+        "IES:LM-63-2019",
+        *(f"[{key}] {text}" for key, text in keywords.items()),
+        "TILT=NONE",
+        # One lamp, no multiplier, Type C, metres.
+        f"1 {row([-1 if emitted is None else emitted], 4)} 1.0 {values.shape[1]} {len(planes)} 1 2 "
+        + row(lm63_dimensions(distribution.opening), 6),
+        f"1.0 {distribution.generation or UNDEFINED} 0.0",
+        *(row(each) for each in (distribution.gamma, planes, *values)),
+        "",
+    ]
+    return "\n".join(lines).encode("utf-8")
 
 
 def read_ies(path: str | os.PathLike[str]) -> IntensityDistribution:
@@ -251,28 +254,3 @@ def _keyword(head: str, name: str) -> str:
         if match and taken:
             found.append(match[2].strip())
     return " ".join(found).strip()
-
-
-def _with_generation(content: bytes, generation: str) -> bytes:
-    """A file with its generation type, all five digits of it.
-
-    photompy's names of the digits are not those of LM-63-2019, and it leaves out zeros.
-    """
-    lines = content.split(b"\n")
-    after = next(i for i, line in enumerate(lines) if line.startswith(b"TILT=")) + 2
-    ballast, _, watts = lines[after].split()
-    lines[after] = b" ".join([ballast, generation.encode(), watts])
-    return b"\n".join(lines)
-
-
-def _numbers_in_full(content: bytes) -> bytes:
-    """photompy writes tiny numbers with an exponent, which some readers do not accept."""
-    return b"\n".join(
-        b" ".join(
-            np.format_float_positional(float(word), trim="-").encode() if b"e-" in word else word
-            for word in line.split(b" ")
-        )
-        if b"[" not in line
-        else line
-        for line in content.split(b"\n")
-    )

@@ -19,7 +19,6 @@ from lumitree.errors import LumitreeError, shown
 from lumitree.formats.archive import Archive
 from lumitree.formats.opening import Opening
 from lumitree.formats.xml_tree import number_of, parse_xml
-from lumitree.lamp.parts import check_shapes
 
 KIND = "an L3D model"
 _STRUCTURE = "structure.xml"
@@ -33,7 +32,7 @@ _METRES = {
     "inch": 0.0254,
 }
 _MM_PER_M = 1000.0
-_MAX_METRES = 1e4
+_MAX_METRES, _MAX_PARTS = 1e4, 1000
 Matrix = NDArray[np.float64]
 
 
@@ -165,7 +164,8 @@ class _Reader:
             self._objects.append(
                 LightObject(each.get("partName", ""), place @ _place(each), _opening(each))
             )
-        check_shapes(len(self._parts) + len(self._objects), f"part {_name(part)}")
+        if len(self._parts) + len(self._objects) > _MAX_PARTS:
+            raise LumitreeError(f"it has more than {_MAX_PARTS} parts and light emitting objects")
         for joint in part.iterfind("Joints/Joint"):
             turned = place @ _place(joint)
             default = joint.find("DefaultRotation")

@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 from lumitree.core.files import write_bytes
 from lumitree.core.photometry import radiance_from_flux
 from lumitree.core.text import in_utf8
+from lumitree.errors import LumitreeError
 from lumitree.formats.archive import Archive
 from lumitree.formats.l3d import L3d, L3dPart, LightObject
+from lumitree.lamp.importers.images import num_pixels
 from lumitree.lamp.importers.obj.reader import part_names, read_obj
 from lumitree.lamp.importers.overrides import emitting_area
 from lumitree.lamp.meshes import Mesh
@@ -32,6 +34,9 @@ _FILES = (".mtl", ".png", ".jpg", ".jpeg")
 # Begins the names of luminous materials; what follows is the index in a part's `lights`.
 _LIGHT = "lumitree-light-"
 _SEGMENTS = 64
+# Limits of an OBJ model; triangles in all places and pixels of all images of all models.
+_MAX_OBJ_BYTES, _MAX_LINES, _MAX_CORNERS = 32 * 2**20, 1 << 20, 1 << 21
+_MAX_TRIANGLES, _MAX_PIXELS = 1 << 19, 1 << 24
 # Distance of an object's own shape from its plane, in front of it, as a part of its longest side.
 _BEFORE = 2e-3
 
@@ -48,7 +53,8 @@ def l3d_geometry(
         folder: an empty one, for the files of the models.
 
     Raises:
-        LumitreeError: a model is missing or damaged.
+        LumitreeError: a model is missing, damaged, larger than 32 MiB, 2²⁰ lines or 2²¹ corners of
+            faces; or there are more than 2¹⁹ triangles, or 2²⁴ pixels of images.
     """
     return _Builder(archive, model, lumens, folder).build()
 
@@ -60,7 +66,7 @@ class _Builder:
         self._archive, self._model, self._lumens = archive, model, lumens
         self._folder = folder
         self._read: dict[tuple[object, ...], Geometry] = {}
-        self._names = Names("-")
+        self._names, self._triangles, self._pixels = Names("-"), 0, 0
         self._parts: list[Part] = []
         self._materials: dict[str, Material] = {}
         # Of luminous materials: the light emitting object, and the weight of its area.
@@ -79,6 +85,9 @@ class _Builder:
     def _add(self, part: L3dPart) -> None:
         """The meshes of a part, in its place."""
         read = self._obj(part)
+        self._triangles += sum(len(each.mesh.faces) for each in read.parts)
+        if self._triangles > _MAX_TRIANGLES:
+            raise LumitreeError(f"it has more than {_MAX_TRIANGLES} triangles in all places")
         place = Y_UP @ part.place
         lights = {f"{_LIGHT}{index}": light for index, light in enumerate(part.lights)}
         names = {}
@@ -150,11 +159,16 @@ class _Builder:
         if key not in self._read:
             folder = self._folder / f"{plain_name(part.folder)}-{len(self._read)}"
             path = folder / f"{plain_name(Path(part.file).stem)}.obj"
-            content = self._archive.read(f"{part.folder}/{part.file}", "an OBJ model")
+            content = self._archive.read(
+                f"{part.folder}/{part.file}", "an OBJ model", _MAX_OBJ_BYTES
+            )
             names = self._archive.names(part.folder)
             for name in names:
                 if name.lower().endswith(_FILES) and Path(name).name == name and len(name) < 200:
                     data = self._archive.read(f"{part.folder}/{name}", "a file of an OBJ model")
+                    self._pixels += num_pixels(data)
+                    if self._pixels > _MAX_PIXELS:
+                        raise LumitreeError(f"its images have more than {_MAX_PIXELS} pixels")
                     write_bytes(folder / name, data)
             write_bytes(folder / _LIGHTS, b"".join(_mtl(index) for index, _ in lit))
             libraries = any(name.lower().endswith(".mtl") for name in names)
@@ -185,8 +199,13 @@ def _marked(
         lights: group, first and last face of each range by the index of the light.
         libraries: whether there are MTL files; else the text names none of its own.
     """
-    lines = in_utf8(content).replace(b"\\\n", b" ").split(b"\n")
-    places = _face_places(lines)
+    lines = in_utf8(content).replace(b"\\\n", b" ").split(b"\n", _MAX_LINES)
+    places = _face_places(lines) if len(lines) <= _MAX_LINES else []
+    faces = (line for line, place in zip(lines, places, strict=False) if place is not None)
+    if not places or sum(len(line.split()) - 1 for line in faces) > _MAX_CORNERS:
+        raise LumitreeError(
+            f"an OBJ model has more than {_MAX_LINES} lines or {_MAX_CORNERS} corners of faces"
+        )
     counts = Counter(place[0] for place in places if place is not None)
     lit = {group: np.full(count, -1) for group, count in counts.items()}
     for index, ranges in lights.items():

@@ -5,6 +5,7 @@ the C planes, the γ angles, and for each plane that the symmetry does not make 
 intensities at all γ.
 """
 
+import math
 import os
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ from lumitree.formats.photometric_text import (
     one_line,
     read_text,
     warn_of_file,
+    warn_of_flux,
 )
 from lumitree.formats.symmetry import EDGE, completed, without_noise
 from lumitree.formats.type_c import IntensityDistribution
@@ -53,8 +55,6 @@ _FIELDS = {
     _SETS + 1: "number of lamps",
     _SETS + 3: "luminous flux of the lamps",
 }
-# Relative difference of fluxes that coarse angles may cause.
-_FLUX_ERROR = 0.05
 # Each kind of symmetry: of how many equal parts of the circle planes are stored, and the first.
 _STORED = {0: (1, 0.0), 1: (0, 0.0), 2: (2, 0.0), 3: (2, 0.75), 4: (4, 0.0)}
 
@@ -77,7 +77,8 @@ def ldt_of(distribution: IntensityDistribution, file_name: str = "") -> Any:
 
     The flux of the lamps is that of the bare emitters. If it is not known, it is that of the
     luminaire, and the number of lamps is -1 (absolute photometry). Direct ratios are 0. A round
-    luminous area has its diameter as length and no width; other shapes become boxes. The length is
+    luminous area has its diameter as length and no width; other shapes become boxes. Ellipsoids
+    become cylinders or boxes that are as large seen from below and from the sides. The length is
     along C = 90, as of linear luminaires.
     """
     from pyldt import Ldt, LdtHeader
@@ -89,9 +90,13 @@ def ldt_of(distribution: IntensityDistribution, file_name: str = "") -> Any:
     c, gamma = distribution.c, distribution.gamma
     angles = _below(distribution).lumens
     opening = distribution.opening
-    width, height, length = (1000 * side for side in opening.sides)
-    width = 0.0 if opening.is_round else width
-    heights = [1000 * each for each in opening.heights or 4 * opening.sides[1:2]]
+    area = math.pi / 4 if opening.shape == "ellipsoid" else 1.0
+    sides = [1000 * side for side in opening.sides]
+    if opening.is_round:
+        width, height, length = 0.0, area * sides[1], sides[2]
+    else:
+        width, height, length = (math.sqrt(area) * side for side in sides)
+    heights = [1000 * each for each in opening.heights or ()] or 4 * [height]
     source = "simulated" if distribution.generation == SIMULATED else "converted"
     header = LdtHeader(
         company=_MAKER,
@@ -225,14 +230,12 @@ class _Reader:
     def _compare_flux(self, lumens: float, flux: float, factor: float) -> None:
         """Warn of intensities whose flux is not what the file states; 0 stands for unknown."""
         stated = flux * self._field(_RATIO) / 100
-        if min(stated, lumens) > 0 and abs(lumens - stated) > _FLUX_ERROR * stated:
-            by = "" if factor == 1 else f" (its conversion factor of {factor:g} is applied)"
-            warn_of_file(
-                self._path,
-                f"its intensities have {lumens:.6g} lm{by}, but its lamps of {flux:g} lm with a "
-                f"light output ratio of {self._field(_RATIO):g} % give {stated:.6g} lm; the "
-                "intensities are used (give the flux that you know by lumens)",
-            )
+        by = "" if factor == 1 else f" (its conversion factor of {factor:g} is applied)"
+        what = (
+            f"but its lamps of {flux:g} lm with a light output ratio of {self._field(_RATIO):g} % "
+            f"give {stated:.6g} lm{by}"
+        )
+        warn_of_flux(self._path, lumens, stated, what)
 
     def _opening(self) -> Opening:
         """A width of 0 is that of a round area, whose diameter is the length."""

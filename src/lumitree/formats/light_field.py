@@ -74,7 +74,8 @@ def bake_distribution(distribution: IntensityDistribution, colour: RGB = WHITE) 
         depth, cells, shares = _projected_shares(opening, frame, math.isqrt(len(candela)))
     watts = candela / LUMENS_PER_WATT / frame.scale**2
     intensity = (shares * watts)[..., None] * np.array(colour)
-    return light_field_asset(make_light_field(cells, intensity, depth), frame, distribution.name)
+    field = make_light_field(cells, intensity, depth, absolute=True)
+    return light_field_asset(field, frame, distribution.name)
 
 
 def _flat_shares(
@@ -163,7 +164,7 @@ def bake_rays(rays: Rays, name: str, config: LightFieldConfig) -> Asset:
         on_device(mi.Point3f, origin), on_device(mi.Vector3f, rays.direction), rays.flux.T
     )
     intensity = intensity_of_histogram(histogram.flux) / frame.scale**2
-    field = make_light_field(histogram.cells, intensity, config.depth)
+    field = make_light_field(histogram.cells, intensity, config.depth, absolute=True)
     spectrum = None if rays.spectrum is None else EmittedSpectrum.of(rays.spectrum)
     return light_field_asset(field, frame, name, spectrum)
 

@@ -130,7 +130,8 @@ def bake_sources(sources: Sequence[LightSource], frame: LocalFrame, name: str) -
         total[np.searchsorted(used, codes)] += _fine(shares, resolution) * each
     cells = StartCells(frame, depth).coordinates(used)
     intensity = np.broadcast_to(total[..., None], (*total.shape, 3))
-    return light_field_asset(make_light_field(cells, intensity, depth), frame, name)
+    field = make_light_field(cells, intensity, depth, absolute=True)
+    return light_field_asset(field, frame, name)
 
 
 def _all_starts(

@@ -13,12 +13,17 @@ from numpy.typing import NDArray
 
 from lumitree.errors import LumitreeError
 
+Array = NDArray[np.float64]
 Shape = Literal["box", "ellipsoid", "cylinder"]
 Sides = tuple[float, float, float]
 _MAX_SIDE = 1e6
 # Points of the quadrature of a surface. Flat ones are cheap, since all directions share them.
 _NUM_SIDE, _NUM_ROUND, _NUM_DISK, _NUM_ELLIPSOID = 20, 80, 512, 3072
 _NUM_FLAT_SIDE, _NUM_FLAT_DISK = 64, 1 << 14
+# Part of the light that may start outside of an opening, and rounds of the search for its box.
+_OUTSIDE, _ROUNDS = 0.02, 4
+# A side shorter than this part of the longest is none; axes that differ by less are a circle.
+_THIN, _ROUND = 1e-3, 0.05
 
 # Shapes of IES LM-63 by the signs of width, length and height: the shape; the axis of a cylinder
 # (0: x, along C = 0; 1: up; 2: z, along C = 90); and a dimension that a zero repeats.
@@ -108,9 +113,9 @@ class Opening:
 
     @property
     def is_round(self) -> bool:
-        """Whether it is a disk or a vertical cylinder whose horizontal section is a circle."""
+        """Whether it is a disk, an ellipsoid or a cylinder whose horizontal section is a circle."""
         x, _, z = self.sides
-        return self.shape == "cylinder" and self.axis == 1 and math.isclose(x, z, rel_tol=1e-6)
+        return self.shape != "box" and self.axis == 1 and math.isclose(x, z, rel_tol=1e-6)
 
     def surface(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Points [N, 3] of the surface, m, and their areas times outward normals [N, 3].
@@ -156,6 +161,48 @@ class Opening:
 
 
 POINT = Opening()
+
+
+def opening_around(points: Array, flux: Array) -> tuple[Opening, Array]:
+    """The smallest upright box or ellipsoid from which 98 % of light starts, and its centre [3].
+
+    Args:
+        points: [N, 3] where light starts, m.
+        flux: [N] of the light, above 0.
+    """
+    # From the middle half of the light outwards, so that a far part with little light is outside.
+    centre = np.array([_quantile(each, flux, 0.5) for each in points.T])
+    half = np.array([_quantile(each, flux, 0.5) for each in np.abs(points - centre).T])
+    low = high = centre
+    for _ in range(_ROUNDS):
+        half = np.maximum(half, max(_THIN * half.max(), 1e-12))
+        away = np.abs((points - centre) / half).max(axis=1)
+        kept = points[away <= _quantile(away, flux, 1 - _OUTSIDE)]
+        low, high = kept.min(axis=0), kept.max(axis=0)
+        centre, half = (low + high) / 2, (high - low) / 2
+    sides = high - low
+    thick = sides > _THIN * sides.max()
+    if not thick.any():
+        return POINT, centre
+    # The ellipsoid has the proportions of the box.
+    away = np.linalg.norm((points - centre)[:, thick] / half[thick], axis=1)
+    radius, dimensions = _quantile(away, flux, 1 - _OUTSIDE), int(thick.sum())
+    # The volume of the unit ball in its box.
+    volume = {1: 1.0, 2: np.pi / 4, 3: np.pi / 6}[dimensions] * radius**dimensions
+    shape: Shape = "box"
+    if dimensions > 1 and volume < 1:
+        shape, sides = "ellipsoid", np.minimum(radius * sides, np.ptp(points, axis=0))
+    x, y, z = np.where(thick, sides, 0.0).tolist()
+    if shape == "ellipsoid" and abs(x - z) <= _ROUND * (x + z) / 2:
+        x = z = (x + z) / 2
+    return Opening((x, y, z), shape), centre
+
+
+def _quantile(values: Array, flux: Array, part: float) -> float:
+    """The smallest of some values [N] up to which there is a part of the flux [N]."""
+    order = np.argsort(values)
+    held = np.cumsum(flux[order])
+    return float(values[order[np.searchsorted(held, part * held[-1])]])
 
 
 def lm63_opening(

@@ -17,6 +17,8 @@ T = TypeVar("T")
 MAX_FILE_BYTES = 1 << 24
 # Largest number of C planes, of γ angles and of sets of lamps.
 MAX_ANGLES, MAX_SETS = 3601, 20
+# Relative difference of fluxes that coarse angles may cause.
+_FLUX_ERROR = 0.05
 # EULUMDAT limits the length of text lines.
 _TEXT = 78
 
@@ -99,6 +101,23 @@ def date_of_writing() -> datetime.datetime:
         raise LumitreeError(
             f"SOURCE_DATE_EPOCH is {shown(seconds, 40)}; expected seconds since 1970, or unset it"
         ) from None
+
+
+def warn_of_flux(path: str | os.PathLike[str], lumens: float, stated: float, what: str) -> None:
+    """Warn of intensities whose flux is not what their file states.
+
+    Args:
+        path: of the file.
+        lumens: luminous flux of the intensities, lm.
+        stated: flux that the file states, lm; 0 if it states none.
+        what: how the file states it, for the message, such as "where it states 500 lm".
+    """
+    if min(stated, lumens) > 0 and abs(lumens - stated) > _FLUX_ERROR * stated:
+        warn_of_file(
+            path,
+            f"its intensities have {lumens:.6g} lm, {what}; the intensities are used (give the "
+            "flux that you know by lumens)",
+        )
 
 
 def warn_of_file(path: str | os.PathLike[str], text: str) -> None:

@@ -88,21 +88,35 @@ def type_a(horizontal: Array, vertical: Array, intensity: Array) -> tuple[Array,
         intensity: [H, V].
 
     Raises:
-        LumitreeError: the angles are not ascending, or out of range.
+        LumitreeError: the angles are not ascending, out of range, or one alone.
     """
-    horizontal, vertical, intensity = _half_space(horizontal, vertical, intensity)
-    c, gamma, intensity = -horizontal[::-1], vertical + 90, intensity[::-1]
+    _check_half_space("A", horizontal, vertical, (180, 90))
+    return _about_axis(horizontal, vertical, intensity)
+
+
+def turned_of_type_b(horizontal: Array, vertical: Array, intensity: Array) -> Turned:
+    """Intensities of Type B photometry in its own angles; arguments as of `type_a`.
+
+    H is within -90 to 90 and V within -180 to 180 degrees.
+    """
+    _check_half_space("B", horizontal, vertical, (90, 180))
+    # The same angles about an axis that is vertical in Type A, and towards C = 270 here.
+    native = IntensityDistribution("", *_about_axis(vertical, horizontal, intensity.T))
+    return Turned(native, np.array([[0.0, -1, 0], [0, 0, 1], [1, 0, 0]]))
+
+
+def _about_axis(longitude: Array, latitude: Array, intensity: Array) -> tuple[Array, Array, Array]:
+    """C, γ and intensities of the whole sphere from angles about the vertical axis."""
+    if longitude[0] == 0:
+        longitude, intensity = _mirrored(longitude, intensity)
+    if latitude[0] == 0:
+        latitude, turned = _mirrored(latitude, intensity.T)
+        intensity = turned.T
+    c, gamma, intensity = -longitude[::-1], latitude + 90, intensity[::-1]
     gamma, intensity = _with_edges(gamma, intensity, 0, 180)
     c, turned = _with_edges(c, intensity.T, -180, 180 - EDGE)
     c, first = np.unique(c.round(9) % 360, return_index=True)
     return c, gamma, turned.T[first]
-
-
-def turned_of_type_b(horizontal: Array, vertical: Array, intensity: Array) -> Turned:
-    """Intensities of Type B photometry in its own angles; arguments as of `type_a`."""
-    # The same angles about an axis that is vertical in Type A, and towards C = 270 here.
-    native = IntensityDistribution("", *type_a(vertical, horizontal, intensity.T))
-    return Turned(native, np.array([[0.0, -1, 0], [0, 0, 1], [1, 0, 0]]))
 
 
 def on_grid(turned: Turned) -> tuple[Array, Array, Array]:
@@ -129,20 +143,24 @@ def without_noise(intensity: Array) -> tuple[Array, float]:
     return np.maximum(intensity, 0), least
 
 
-def _half_space(horizontal: Array, vertical: Array, intensity: Array) -> tuple[Array, Array, Array]:
-    """Angles from negative ones on: those from 0 on are reflected."""
+def _check_half_space(
+    kind: str, horizontal: Array, vertical: Array, limits: tuple[int, int]
+) -> None:
+    """Refuse angles H and V of Type A or B that are beyond their limits, or one alone.
+
+    LM-63 has a symmetry about an axis, with one horizontal angle, for Type C alone.
+    """
     _check_ascending(horizontal, vertical)
-    if horizontal[0] < -180 or horizontal[-1] > 180 or vertical[0] < -90 or vertical[-1] > 90:
+    inside = all(
+        len(angles) > 1 and -limit <= angles[0] and angles[-1] <= limit
+        for angles, limit in zip((horizontal, vertical), limits, strict=True)
+    )
+    if not inside:
         raise LumitreeError(
             f"its horizontal angles are {_range(horizontal)}, its vertical angles "
-            f"{_range(vertical)}; expected them within -180 to 180 and -90 to 90"
+            f"{_range(vertical)}; expected several of each in photometry of Type {kind}, within "
+            f"-{limits[0]} to {limits[0]} and -{limits[1]} to {limits[1]}"
         )
-    if horizontal[0] == 0:
-        horizontal, intensity = _mirrored(horizontal, intensity)
-    if vertical[0] == 0:
-        vertical, turned = _mirrored(vertical, intensity.T)
-        intensity = turned.T
-    return horizontal, vertical, intensity
 
 
 def _mirrored(angles: Array, rows: Array) -> tuple[Array, Array]:

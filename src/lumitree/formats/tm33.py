@@ -32,7 +32,7 @@ from lumitree.core.reading import read_bytes
 from lumitree.core.spectrum import sampled_spectrum
 from lumitree.errors import LumitreeError, shown
 from lumitree.formats.opening import POINT, Opening
-from lumitree.formats.photometric_text import MAX_ANGLES, number, warn_of_file
+from lumitree.formats.photometric_text import MAX_ANGLES, number, warn_of_file, warn_of_flux
 from lumitree.formats.symmetry import (
     completed,
     on_grid,
@@ -49,9 +49,9 @@ _DATA = ("LuminousData", "IntensityDistribution")
 _POINTS = ("IntData", "IntensityData")
 _HORIZONTAL, _VERTICAL = ("h", "horz", "horizontal"), ("v", "vert", "vertical")
 _OTHERS = ("RadiantData", "PhotonData")
-# Of the stated luminous flux, beyond which it is warned of.
-_TOLERANCE = 0.05
 _MAX_EMITTERS = 100
+# Intensities that are interpolated to add up emitters.
+_MAX_SUMMED = 1 << 22
 # Faces of a luminaire: the names of the two sides of an area, and their axes with y up.
 _FACES: dict[str, tuple[tuple[str, int], tuple[str, int]]] = {
     "Top": (("Width", 0), ("Length", 2)),
@@ -67,7 +67,8 @@ def read_tm33(path: str | os.PathLike[str]) -> tuple[IntensityDistribution, RGB]
     """Read a TM-33 file; photometry of Types A and B is converted to Type C.
 
     Warns of what is read in another way than the file says: small negative intensities, tilt
-    factors, a luminous flux that the intensities do not have, and no emission areas.
+    factors, a luminous flux that the intensities do not have, stated or rated, and no emission
+    areas.
 
     Returns:
         The intensities of all emitters together, and the colour of their spectra, linear RGB of
@@ -125,11 +126,13 @@ class _Reader:
         convert = {"A": type_a, "B": _type_b, "C": completed}[self._type(table)]
         result = IntensityDistribution("", *convert(horizontal, vertical, intensity))
         stated = number_of(data, "LuminousFlux", 0.0)
-        if stated > 0 and abs(result.lumens / stated - 1) > _TOLERANCE:
-            self._warn(
-                f"its intensities have {result.lumens:.4g} lm, where it states {stated:g} lm; the "
-                "intensities count"
-            )
+        what = f"where it states {stated:g} lm"
+        if not stated > 0:
+            rated, count = number_of(emitter, "RatedLumens", 0.0), number_of(emitter, "Quantity", 1)
+            # The rating is for one of several lamps, or for all.
+            stated = min((rated, rated * count), key=lambda each: abs(each - result.lumens))
+            what = f"where its lamps are rated at {rated:g} lm"
+        warn_of_flux(self._path, result.lumens, stated, what)
         return result
 
     def _type(self, table: Element) -> str:
@@ -231,6 +234,11 @@ def _sum(parts: list[IntensityDistribution]) -> IntensityDistribution:
         return parts[0]
     c = np.unique(np.concatenate([each.c for each in parts]))
     gamma = np.unique(np.concatenate([each.gamma for each in parts]))
+    if len(parts) * len(c) * len(gamma) > _MAX_SUMMED:
+        raise LumitreeError(
+            f"its {len(parts)} emitters have {len(c)} x {len(gamma)} different angles; expected at "
+            f"most {_MAX_SUMMED} intensities of all together"
+        )
     direction = direction_of(c[:, None], gamma)
     total = np.sum([each.at(direction) for each in parts], axis=0)
     return IntensityDistribution("", c, gamma, total)

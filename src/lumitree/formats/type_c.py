@@ -16,7 +16,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lumitree.errors import LumitreeError
+from lumitree.errors import LumitreeError, shown
 from lumitree.formats.opening import POINT, Opening
 
 Array = NDArray[np.float64]
@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 MIN_STEP, MAX_STEP = 0.5, 30.0
 # Least difference of neighbouring angles, degrees: weights of nodes are divided by it.
 _LEAST_STEP = 1e-10
+_MAX_LUMENS = 1e15
 
 
 def direction_of(c: ArrayLike, gamma: ArrayLike) -> Array:
@@ -164,7 +165,7 @@ class IntensityDistribution:
         gamma: [G] ascending angles from 0 to 180, degrees.
         intensity: [C, G] luminous intensity, cd, at least 0.
         opening: the surface that the light comes from.
-        emitted_lumens: luminous flux of the bare emitters, lm; None if it is not known.
+        emitted_lumens: luminous flux of the bare emitters, 0 to 1e15 lm; None if it is not known.
         generation: file generation type of LM-63-2019, see `ies_fields`; None if it is not stated.
         details: what its file states of how it was made, for reports: names and texts.
         turned: the same intensities in angles about another axis, as a file of Type B states them;
@@ -182,7 +183,7 @@ class IntensityDistribution:
     turned: "Turned | None" = None
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be interpolated."""
+        """Refuse what cannot be interpolated, and numbers that are not finite."""
         c, gamma, intensity = self.c, self.gamma, self.intensity
         if intensity.shape != (len(c), len(gamma)) or len(gamma) < 2 or len(c) < 1:
             raise LumitreeError(
@@ -197,6 +198,12 @@ class IntensityDistribution:
         # Limits within which all further computations are finite in single precision.
         if not ((intensity >= 0) & (intensity <= 1e12)).all():
             raise LumitreeError("intensities hold NaN, negative values or values above 1e12 cd")
+        # All writers get their numbers from here: none writes one that is not finite.
+        if not 0 <= (emitted := self.emitted_lumens or 0.0) <= _MAX_LUMENS:
+            raise LumitreeError(
+                f"the flux of the bare emitters of {shown(self.name, 200)} is {emitted:g} lm; "
+                f"expected 0 to {_MAX_LUMENS:g}"
+            )
 
     @property
     def lumens(self) -> float:

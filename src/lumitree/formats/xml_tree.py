@@ -3,15 +3,16 @@
 from xml.etree.ElementTree import Element, TreeBuilder
 from xml.parsers import expat
 
+from lumitree.core.text import in_utf8, utf16_encoding
 from lumitree.errors import LumitreeError, shown
 from lumitree.formats.photometric_text import number
 
-MAX_BYTES = 1 << 26
-_MAX_DEPTH, _MAX_ELEMENTS = 256, 1 << 20
+MAX_BYTES = 1 << 25
+_MAX_DEPTH, _MAX_ELEMENTS, _MAX_ATTRIBUTES = 256, 1 << 19, 1 << 20
 
 
 def parse_xml(content: bytes, name: str, expected: str) -> Element:
-    """Root of an XML file, whose tags and attributes are without namespaces.
+    """Root of an XML file in any encoding, whose tags and attributes are without namespaces.
 
     Args:
         content: of the file.
@@ -19,12 +20,16 @@ def parse_xml(content: bytes, name: str, expected: str) -> Element:
         expected: what it should be, for messages.
 
     Raises:
-        LumitreeError: it is not well-formed, declares entities, or is too large or nested too
-            deeply.
+        LumitreeError: it is not well-formed, declares entities, is larger than 32 MiB or nested
+            too deeply, or has more than 2¹⁹ elements or 2²⁰ attributes.
     """
     if len(content) > MAX_BYTES:
         raise LumitreeError(
             f"{name} is larger than {MAX_BYTES >> 20} MiB, the limit for {expected}"
+        )
+    if content.count(b"=") > _MAX_ATTRIBUTES:
+        raise LumitreeError(
+            f"{name} has more than {_MAX_ATTRIBUTES} attributes, the limit for {expected}"
         )
     builder, depth, count = TreeBuilder(), 0, 0
 
@@ -46,12 +51,14 @@ def parse_xml(content: bytes, name: str, expected: str) -> Element:
     def declared(*_: object) -> None:
         raise LumitreeError(f"{name} declares XML entities, which are not read; remove them")
 
-    parser = expat.ParserCreate()
+    # Files in UTF-16 may declare another encoding.
+    is_utf16 = utf16_encoding(content) is not None
+    parser = expat.ParserCreate("utf-8" if is_utf16 else None)
     parser.StartElementHandler, parser.EndElementHandler = opened, closed
     parser.CharacterDataHandler = builder.data
     parser.EntityDeclHandler = declared
     try:
-        parser.Parse(content, True)
+        parser.Parse(in_utf8(content) if is_utf16 else content, True)
     except (expat.ExpatError, ValueError, LookupError) as error:
         raise LumitreeError(
             f"{name} is not well-formed XML ({shown(error)}); expected {expected}"

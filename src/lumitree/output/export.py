@@ -17,7 +17,7 @@ from lumitree.core.work_folder import atomic_files, atomic_folder, check_new_fol
 from lumitree.errors import LumitreeError
 from lumitree.output.targets.registry import find_target
 from lumitree.output.targets.target import ExportRequest, Importer
-from lumitree.rendering.asset_cache import open_asset
+from lumitree.rendering.asset_cache import open_asset, refuse_frame
 
 # By measurement, see docs/decisions/blender.md.
 DEFAULT_LIGHTS, MAX_LIGHTS = 16, 1024
@@ -129,6 +129,7 @@ def export(
     watch = Stopwatch()
     with watch.stage("load"):
         given = open_asset(asset)
+        refuse_frame(asset, given, metres, up)
         near = given.near_origin
         loaded = near if metres == 1 else near.scaled(metres)
     request = ExportRequest(

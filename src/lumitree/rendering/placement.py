@@ -22,13 +22,15 @@ class Placement:
             `.gldf`, `.tm33`) or a ray file (`.ray`, `.tm25ray`); or a luminaire, as for
             `lumitree.bake`, whose explicit geometry is placed.
         at: [3] centre of its bounding box, scene units; default: where its own file has it.
-        size: largest side of its bounding box, scene units; default: its own size.
+        size: largest side of its bounding box, scene units; default: its own size. It scales the
+            luminous opening of a photometric file, whose intensities and flux stay; other lamps
+            keep their radiance, so that their flux grows with the square of the scale.
         rotate: [4] axis x, y, z and angle in degrees, about the centre.
         gain: [3] factors on the R, G and B of its light, or one number for all; 0 to 10⁶. For an
             asset only.
         lumens: luminous flux that the lamp has in the scene before `gain`, lm, with lengths of the
             scene in the `unit` of `render` or `illuminance`; 10⁻⁶ to 10⁹. For an asset only.
-            Default: that of the asset, times the square of the scale of its size.
+            Default: its own, at its `size`.
         temperature: colour temperature of its whole flux before `gain`, K; 1000 to 20,000. R, G and
             B each get a factor, by which the colour in linear sRGB becomes that of a black body;
             the luminous flux stays. For an asset only. Default: the colour of the asset.

@@ -165,7 +165,7 @@ def render(
         width: width of the image in pixels, 1 to 16,384; the aspect ratio stays. Default: the
             scene's.
         unit: unit of length of the scene: "m", "cm", "mm", "in", "ft", or the metres in a unit. It
-            counts for `Placement.lumens`, and for nothing else.
+            counts for `Placement.lumens` and for photometric files, which state metres.
         view: view transform of `png`: "standard", clipped sRGB; or "filmic", the output transform
             of ACES 2.0 for displays of 100 cd/m², which needs the optional dependency `filmic`.
         exposure: factor on the radiance before the view transform, 10⁻¹² to 10¹², such as

@@ -21,9 +21,9 @@ from lumitree.lamp.media import any_heterogeneous
 from lumitree.lamp.probe import check_evaluates
 from lumitree.lamp.scene_file import SceneFile
 from lumitree.lamp.scene_shapes import SceneShape, reusable_shapes, shapes_of_scene
-from lumitree.lamp.source import LuminaireSource, source_kind
+from lumitree.lamp.source import LuminaireSource
 from lumitree.octree.field import Field
-from lumitree.rendering.asset_cache import open_field
+from lumitree.rendering.asset_cache import open_asset, open_field
 from lumitree.rendering.asset_flux import asset_watts, gain_to
 from lumitree.rendering.integrators import integrator_for
 from lumitree.rendering.layers import records_layers
@@ -44,24 +44,23 @@ class PlacedLuminaire:
 
     Args:
         placement: what to read, and where it goes.
-        luminaire: the explicit luminaire of the placement, if it is loaded already.
-        metres: in a unit of length of the scene, for `Placement.lumens`.
+        source: what the placement names, if it is loaded already.
+        metres: in a unit of length of the scene.
     """
 
     def __init__(
-        self, placement: Placement, luminaire: Luminaire | None = None, metres: float = 1
+        self, placement: Placement, source: Luminaire | Asset | None = None, metres: float = 1
     ) -> None:
         self.placement = placement
         self.field: Field | None = None
-        self.luminaire = luminaire
-        if placement.is_baked:
+        self.luminaire: Luminaire | None = None
+        source = _loaded(placement, metres) if source is None else source
+        if isinstance(source, Asset):
             # The field, not only the asset: the proxy's plugins then find it open.
-            self.field = open_field(cast(Any, placement.source))
-            frame = self.field.asset.frame
+            self.field = open_field(source)
         else:
-            if self.luminaire is None:
-                self.luminaire = load_luminaire(cast(Any, placement.source))
-            frame = self.luminaire.frame
+            self.luminaire = source
+        self.source, frame = source, source.frame
         scene_from_local = frame.placed(
             at=placement.at, size=placement.size, rotate=placement.rotate
         )
@@ -79,7 +78,8 @@ class PlacedLuminaire:
         if self.field is not None and (placement.lumens, placement.temperature) != (None, None):
             asset = self.field.asset
             assert isinstance(asset, Asset)
-            watts = asset_watts(asset) * (scale * metres) ** 2
+            grown = 1.0 if asset.is_photometric else scale
+            watts = asset_watts(asset) * (grown * metres) ** 2
             gain *= gain_to(watts, placement.lumens, placement.temperature, placement.name)
         return check_gain(gain)
 
@@ -102,8 +102,18 @@ class PlacedLuminaire:
         """Shapes for `mitsuba.load_dict`; arguments as for `place_luminaires`."""
         if self.luminaire is not None:
             return place_shapes(self.luminaire, self.scene_from_world)
-        source = cast(Any, self.placement.source)
-        return {"proxy": shape(source, self.scene_from_world, sampling, self.gain, appearance)}
+        assert self.field is not None
+        asset = cast(Any, self.field.asset)
+        return {"proxy": shape(asset, self.scene_from_world, sampling, self.gain, appearance)}
+
+
+def _loaded(placement: Placement, metres: float) -> Luminaire | Asset:
+    """The lamp of a placement; a photometric file, which is in metres, in the scene's unit."""
+    source = cast(Any, placement.source)
+    if not placement.is_baked:
+        return load_luminaire(source)
+    asset = open_asset(source)
+    return asset.scaled(1 / metres) if asset.is_photometric and metres != 1 else asset
 
 
 def place_shapes(luminaire: LuminaireLike, scene_from_world: ArrayLike) -> dict[str, Any]:
@@ -128,33 +138,16 @@ def place_shapes(luminaire: LuminaireLike, scene_from_world: ArrayLike) -> dict[
 
 def open_placements(placements: Sequence[Placement], metres: float = 1) -> list[PlacedLuminaire]:
     """Read the luminaires of placements, each once; `metres` as for `PlacedLuminaire`."""
-    loaded: dict[object, Luminaire] = {}
+    loaded: dict[object, Luminaire | Asset] = {}
     opened = []
     for placement in placements:
         source = placement.source
         # A dictionary has no hash.
         key = source if isinstance(source, str | os.PathLike | LuminaireSource) else id(source)
         placed = PlacedLuminaire(placement, loaded.get(key), metres)
-        if placed.luminaire is not None:
-            loaded[key] = placed.luminaire
-        _warn_of_unit(placed, metres)
+        loaded.setdefault(key, placed.source)
         opened.append(placed)
     return opened
-
-
-def _warn_of_unit(placed: PlacedLuminaire, metres: float) -> None:
-    """Warn of a file in metres at its own size in a scene in another unit."""
-    placement = placed.placement
-    if metres == 1 or (placement.size, placement.lumens) != (None, None) or placed.field is None:
-        return
-    if source_kind(placement.source) == "photometric":
-        size = float(placed.field.asset.frame.size.max()) / metres
-        warnings.warn(
-            f"{placed.title} states its size in metres, and is as many units large in the scene, "
-            f"which are {metres:g} m each; its light is right with --size {size:.6g}",
-            LumitreeWarning,
-            stacklevel=4,
-        )
 
 
 def place_luminaires(

@@ -5,6 +5,7 @@ import sys
 import numpy as np
 import pytest
 
+from lumitree.formats.opening import Opening
 from lumitree.formats.type_c import Grid, IntensityDistribution
 from lumitree.measure.photometry.ugr import REFLECTANCES, ROOMS, ugr_table
 
@@ -18,7 +19,7 @@ def lambertian(lumens=1000.0, emitted=None):
     down = lumens / np.pi * np.maximum(np.cos(np.deg2rad(grid.gamma)), 0)
     intensity = np.tile(down, (len(grid.c), 1))
     return IntensityDistribution(
-        "square", grid.c, grid.gamma, intensity, (SIDE, 0.0, SIDE), emitted
+        "square", grid.c, grid.gamma, intensity, Opening((SIDE, 0.0, SIDE)), emitted
     )
 
 

@@ -116,6 +116,18 @@ class Images:
         return DecodedImage(np.asarray(image), counts)
 
 
+def num_pixels(data: bytes) -> int:
+    """Number of pixels that the header of an image states; 0 for other files."""
+    try:
+        with warnings.catch_warnings(action="ignore"), Image.open(io.BytesIO(data)) as image:
+            return image.width * image.height
+    except Image.DecompressionBombError:
+        return MAX_IMAGE_PIXELS
+    except Exception:
+        # What decodes the image says what is wrong with it.
+        return 0
+
+
 def by_rows(
     make: Callable[[slice], NDArray], shape: tuple[int, int, int], dtype: np.dtype | type
 ) -> NDArray:

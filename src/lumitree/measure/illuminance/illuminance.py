@@ -164,7 +164,8 @@ def illuminance(
         time: after which no more light is sampled, s, 0.001 to 10⁷; default: no limit.
         direct_only: whether to leave out reflected light.
         unit: unit of length of the scene: "m", "cm", "mm", "in", "ft", or the metres in a unit. It
-            counts for `Placement.lumens`, and for nothing else: illuminance follows from radiance.
+            counts for `Placement.lumens` and for photometric files, which state metres; the
+            illuminance of all other lamps follows from radiance.
         seed: root seed of all random numbers, 0 to 2³¹ - 1.
         variant: Mitsuba variant; see `bake`.
         progress: function that is called with a `Progress` after each pass; see `bake`.

@@ -20,6 +20,7 @@ from lumitree.core.photometry import luminance
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.errors import LumitreeError
+from lumitree.formats.opening import Opening, opening_around
 from lumitree.formats.rays import Rays
 from lumitree.formats.type_c import Grid, IntensityDistribution, y_up
 from lumitree.lamp.luminaire import Luminaire
@@ -47,6 +48,9 @@ STEPS = (1.0, 2.5, 5.0, 10.0)
 MAX_NOISE = 0.02
 # A coarse step at which the direction of the largest intensity is found before the measurement.
 _COARSE_STEP = 10.0
+# Rays that the luminous opening is found by, at most and at least; else it is the bounding box. Its
+# least size in the inverse-square test, over the size of the bounding box.
+_OPENING_RAYS, _MIN_RAYS, _MIN_SIZE = 1 << 14, 1 << 8, 1e-3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,6 +65,7 @@ class Source:
             rays of that draw, local units; None if it is not known.
         spectrum: of the bare emitters; None if it is not known.
         exact: what is known without rays; None if nothing is.
+        opening: luminous opening in the middle of the box; None to find it by where rays start.
         check: `check_output` of a luminaire; None of an asset.
     """
 
@@ -70,6 +75,7 @@ class Source:
     bare_flux: Callable[[int, int], NDArray[np.float64]] | None = None
     spectrum: EmittedSpectrum | None = None
     exact: ExactLight | None = None
+    opening: Opening | None = None
     check: Callable[[NDArray[np.float64], int], None] | None = None
 
 
@@ -110,8 +116,17 @@ def asset_source(asset: Asset, file: IntensityDistribution | None = None) -> Sou
         exact = light_field_light(asset)
     else:
         exact = file_light(file, asset.frame, asset_watts(asset))
+    opening = None if file is None else file.opening
+    if opening is None and asset.is_photometric and asset.geometry is None:
+        x, y, z = asset.frame.size.tolist()
+        opening = Opening((x, y, z))
     return Source(
-        asset.luminaire, asset.frame, AssetRays(asset), spectrum=asset.spectrum, exact=exact
+        asset.luminaire,
+        asset.frame,
+        AssetRays(asset),
+        spectrum=asset.spectrum,
+        exact=exact,
+        opening=opening,
     )
 
 
@@ -128,6 +143,8 @@ class Measurement:
         emitted: [B, 3] radiant flux of the bare emitters, W; None if it is not known.
         near_field: inverse-square test of these rays.
         size: [3] sides of the bounding box, m.
+        opening: luminous opening.
+        centre: [3] of the opening, from the centre of the bounding box, m.
         num_rays: number of samples.
         rays: rays that were kept.
         spectrum: of the bare emitters; None if it is not known.
@@ -141,6 +158,8 @@ class Measurement:
     emitted: NDArray[np.float64] | None
     near_field: NearFieldTest
     size: NDArray[np.float64]
+    opening: Opening
+    centre: NDArray[np.float64]
     num_rays: int
     rays: Rays
     spectrum: EmittedSpectrum | None
@@ -160,7 +179,8 @@ def measure(
         seed: root seed.
 
     Raises:
-        LumitreeError: no light leaves the luminaire, or a path's flux is NaN or infinite.
+        LumitreeError: no light leaves the luminaire, or the flux of a path or of the bare emitters
+            is NaN or infinite.
     """
     pieces = RayBatches(
         source.rays,
@@ -195,6 +215,8 @@ def measure(
         emitted=_bare_watts(source, pieces),
         near_field=tally.near_field,
         size=np.abs(source.frame.rotation) @ source.frame.size,
+        opening=tally.opening,
+        centre=tally.centre - source.frame.centre,
         num_rays=pieces.count * pieces.size,
         rays=Rays.joined(kept),
         spectrum=source.spectrum,
@@ -216,6 +238,11 @@ def _bare_watts(source: Source, pieces: RayBatches) -> NDArray[np.float64] | Non
     if source.bare_flux is None:
         return None
     parts = [source.bare_flux(pieces.size, pieces.seed(index)) for index in range(pieces.count)]
+    if not np.isfinite(parts).all():
+        raise LumitreeError(
+            f"the flux of the bare emitters of {source.name} is NaN or infinite; look for an "
+            "emitter whose radiance is"
+        )
     return (np.array(parts) * source.frame.scale**2).reshape(-1, BATCHES, 3).mean(axis=0)
 
 
@@ -224,14 +251,14 @@ class _Tally:
 
     Args:
         source: what is measured.
-        first: rays of the first piece, by which the step is chosen.
+        first: rays of the first piece, by which the step is chosen and the opening is found.
         pieces: number of pieces.
         step: of the grid; None to choose it.
     """
 
     def __init__(self, source: Source, first: Rays, pieces: int, step: float | None) -> None:
         lumens = luminance(first.flux)
-        self._share, self._centre = BATCHES / pieces, source.frame.centre
+        self._share = BATCHES / pieces
         self.watts, self.upward = np.zeros((BATCHES, 3)), np.zeros(BATCHES)
         self._exact = source.exact is not None
         if source.exact is None:
@@ -243,8 +270,14 @@ class _Tally:
             self.intensity = np.repeat(intensity[None], BATCHES, axis=0)
             self.watts += source.exact.watts * source.frame.scale**2
             self.upward += luminance(self.watts) * upward_share(source.exact, source.frame)
-        brightest = _brightest(first.direction, lumens)
-        self.near_field = NearFieldTest(source.frame.size.max(), brightest, BATCHES)
+        x, y, z = source.frame.size.tolist()
+        size, self.centre = max(x, y, z), source.frame.centre
+        self.opening = source.opening or Opening((x, y, z))
+        used = np.flatnonzero(lumens)[:_OPENING_RAYS]
+        if source.opening is None and len(used) >= _MIN_RAYS:
+            self.opening, self.centre = opening_around(first.origin[used], lumens[used])
+            size = max(*self.opening.sides, _MIN_SIZE * size)
+        self.near_field = NearFieldTest(size, _brightest(first.direction, lumens), BATCHES)
 
     def add(self, batch: int, rays: Rays) -> None:
         """Add the rays of a piece to its batch."""
@@ -254,7 +287,7 @@ class _Tally:
             self.intensity[batch] += self.grid.intensity(rays.direction, lumens)
             self.watts[batch] += flux.sum(axis=0)
             self.upward[batch] += lumens[rays.direction[:, 1] > 0].sum()
-        self.near_field.add(batch, rays.origin - self._centre, rays.direction, lumens)
+        self.near_field.add(batch, rays.origin - self.centre, rays.direction, lumens)
 
 
 def chosen_step(direction: NDArray[np.float64], lumens: NDArray[np.float64], pieces: int) -> float:

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from lumitree.core.photometry import colour_temperature, luminance
 from lumitree.formats.ies_fields import SIMULATED
-from lumitree.formats.opening import Opening
 from lumitree.formats.type_c import IntensityDistribution
 from lumitree.measure.batches import jackknife
 from lumitree.measure.photometry.colour import colour_figures
@@ -41,8 +40,8 @@ def evaluated(
 
     Args:
         measurement: of a luminaire or an asset.
-        file: the photometric file that the asset was made of: its luminous opening, the flux of its
-            lamps and what it states of how it was made.
+        file: the photometric file that the asset was made of: the flux of its lamps and what it
+            states of how it was made.
         generation: file generation type of what is written.
         of_file: whether the light is that of a photometric file, also of one that was baked: those
             that state no colour have equal R, G and B.
@@ -96,16 +95,15 @@ def evaluated(
         duv=Estimate(duv, duv_error) if coloured and math.isfinite(duv_error) else None,
         spectrum_share=0.0 if measurement.spectrum is None else measurement.spectrum.share,
         emitted_colour=colour_figures(measurement.spectrum, measurement.watts.mean(axis=0)),
+        opening=measurement.opening,
+        opening_centre=tuple(measurement.centre.tolist()),
     )
-    size = measurement.size
     distribution = IntensityDistribution(
         name=measurement.name,
         c=grid.c,
         gamma=grid.gamma,
         intensity=intensity,
-        opening=Opening((float(size[0]), float(size[1]), float(size[2])))
-        if file is None
-        else file.opening,
+        opening=measurement.opening,
         emitted_lumens=None if emitted_lumens is None else emitted_lumens.value,
         generation=generation,
         details={} if file is None else file.details,
@@ -116,7 +114,7 @@ def evaluated(
         intensity_error=error,
         near_field=measurement.near_field.limits(),
         step=grid.step,
-        size=size,
+        size=measurement.size,
         num_rays=measurement.num_rays,
         ugr=ugr_table(distribution),
     )

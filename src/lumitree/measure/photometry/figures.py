@@ -6,6 +6,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.formats.opening import Opening
 from lumitree.formats.type_c import Grid, IntensityDistribution
 from lumitree.measure.photometry.colour import ColourFigures
 from lumitree.measure.photometry.near_field import NearFieldLimit
@@ -64,6 +65,10 @@ class PhotometricFigures:
         duv: distance of this colour from the Planckian locus, CIE 1960 (u, v); positive above.
         spectrum_share: part of the luminous flux of the bare emitters whose spectrum is known.
         emitted_colour: colour of the bare emitters by their spectrum; None if it is not known.
+        opening: luminous opening: of a photometric file its own, else the smallest box or ellipsoid
+            from which 98 % of the light leaves.
+        opening_centre: [3] of the opening, which is the photometric centre, from the centre of the
+            bounding box, m; y is up.
     """
 
     lumens: Estimate
@@ -79,6 +84,8 @@ class PhotometricFigures:
     duv: Estimate | None
     spectrum_share: float
     emitted_colour: ColourFigures | None
+    opening: Opening
+    opening_centre: tuple[float, ...]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

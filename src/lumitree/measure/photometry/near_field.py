@@ -1,12 +1,12 @@
 """Inverse-square test: from which distance a luminaire is its far field.
 
 A photometric file describes a point. Near a luminaire the illuminance differs from intensity /
-distance². The test measures the illuminance on spheres about the centre of the bounding box, in
+distance². The test measures the illuminance on spheres about the centre of the luminous opening, in
 cones of 5 degrees about some directions, by the rays with which the intensity is measured.
 
 Symbols
-    D       largest side of the bounding box, m
-    d       distance from the centre of the box, m
+    D       largest side of the luminous opening, m
+    d       distance from the centre of the opening, m
     E       mean illuminance, lx, of the part of a sphere of radius d that is in a cone
     I       mean luminous intensity, cd, in that cone
 """
@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from lumitree.formats.type_c import direction_of
 from lumitree.measure.batches import jackknife_error
 
-# Radii of the spheres over D. The smallest sphere contains the box, whose half diagonal is at most
-# 0.87 D.
+# Radii of the spheres over D. The smallest sphere contains the opening, whose half diagonal is at
+# most 0.87 D; rays that start outside of a sphere count where they leave it.
 DISTANCES = np.array([1, 1.25, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10, 15, 20, 30])
 # Largest relative difference that counts as the far field.
 TOLERANCE = 0.05
@@ -51,7 +51,7 @@ class NearFieldLimit:
         direction: name of the direction.
         c, gamma: its angles, degrees.
         candela: mean luminous intensity in a cone of 5 degrees about it, cd.
-        distance: distance from the centre of the bounding box, m, from which on the illuminance is
+        distance: distance from the centre of the opening, m, from which on the illuminance is
             within 5 % of intensity / distance². None if it is not at 30 times the largest side, or
             if that is not known.
         is_known: False if too few rays go there to tell.
@@ -97,7 +97,7 @@ class NearFieldTest:
 
         Args:
             batch: its index.
-            origin: [N, 3] where the rays start, relative to the centre of the box, m.
+            origin: [N, 3] where the rays start, relative to the centre of the opening, m.
             direction: [N, 3] unit directions of travel.
             lumens: [N] luminous flux of each.
         """
@@ -105,9 +105,11 @@ class NearFieldTest:
         beyond = along**2 - (origin**2).sum(axis=1)
         sums = [self._in_cones(direction, lumens)]
         for radius in DISTANCES * self._size:
-            distance = np.sqrt(np.maximum(beyond + radius**2, 0)) - along
+            half_chord = np.sqrt(np.maximum(beyond + radius**2, 0))
+            distance = half_chord - along
             point = origin + distance[:, None] * direction
-            sums.append(self._in_cones(point / radius, lumens))
+            crosses = (half_chord > 0) & (distance > 0)
+            sums.append(self._in_cones(point / radius, np.where(crosses, lumens, 0.0)))
         self._batches[batch] += sums
 
     def limits(self) -> list[NearFieldLimit]:

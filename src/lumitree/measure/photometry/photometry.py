@@ -26,7 +26,7 @@ from lumitree.formats.type_c import MIN_STEP, Grid, IntensityDistribution
 from lumitree.lamp.source import RAY_SUFFIXES, WRITTEN_SUFFIXES, LuminaireSource, source_kind
 from lumitree.measure.photometry.figures import PhotometricFigures
 from lumitree.measure.photometry.near_field import NearFieldLimit
-from lumitree.rendering.asset_cache import asset_of
+from lumitree.rendering.asset_cache import asset_of, refuse_frame
 
 if TYPE_CHECKING:
     from lumitree.lamp.luminaire import LuminaireLike
@@ -158,15 +158,11 @@ def photometry(
     if step is not None:
         Grid(step)
     is_file = source_kind(source) == "photometric"
-    if is_file and (metres, up) != (1, "y"):
-        raise LumitreeError(
-            f"unit and up: not for a photometric file such as {shown(source, 300)}, which states "
-            "its unit; leave them out"
-        )
     wanted = file_rays if any(_suffix(path) in RAY_SUFFIXES for path in outputs) else 0
     watch = Stopwatch()
     with reporting(progress), watch.stage("measure"):
         if (asset := asset_of(source)) is not None:
+            refuse_frame(source, asset, metres, up)
             file = read_again(_path(source)) if is_file else None
             measured = asset_source(asset, file)
         else:
@@ -176,10 +172,9 @@ def photometry(
         measured = oriented(measured, metres, up)
         measurement = measure(measured, paths, step=step, kept_rays=wanted, seed=seed)
         # A converted file is no simulation, and no measurement either.
-        light = None if asset is None else asset.light_field
-        baked_file = light is not None and light.traced is None
         generation = UNDEFINED if is_file else SIMULATED
-        data = evaluated(measurement, file, generation, of_file=is_file or baked_file)
+        of_file = asset is not None and asset.is_photometric
+        data = evaluated(measurement, file, generation, of_file=of_file)
         if file is not None and step is None:
             _warn_fine(file, data.step)
     with watch.stage("write"):

@@ -39,7 +39,7 @@ p.note { color: #57534e; max-width: 45rem; }
 _NOTES = (
     "C = 0 is towards +x of the luminaire's file and C is counter-clockwise seen from above; "
     "gamma = 0 is straight down. Errors are standard errors.",
-    "Far field: distance from the centre of the bounding box from which on the illuminance is "
+    "Far field: distance from the centre of the luminous opening from which on the illuminance is "
     "within 5 % of intensity / distance², in a cone of 5 degrees. At shorter distances a "
     "photometric file is wrong by more; use the asset instead.",
 )
@@ -53,8 +53,8 @@ _UGR_NOTE = (
     "Unified Glare Rating by CIE 117:1995 and CIE 190:2010, for a ceiling of equal luminaires, a "
     "quarter of their height above the eye apart. Columns: reflectances of ceiling, walls and "
     "floor in percent; rooms: sides across and along the line of sight in heights H. Only the "
-    "intensities from C = 0 to 90 degrees are used, and the luminous area is that of the bounding "
-    "box. It says little of lamps that do not hang in rows."
+    "intensities from C = 0 to 90 degrees are used, and the luminous area is the opening's. "
+    "It says little of lamps that do not hang in rows."
 )
 
 

@@ -56,6 +56,8 @@ def figure_rows(
         ("Duv", "not known" if figures.duv is None else str(figures.duv)),
         *_colour_rows(figures),
         ("UGR, 4H x 8H, 70/50/20", _NEEDS_UGR if ugr is None else _catalogue_ugr(ugr)),
+        ("luminous opening", str(figures.opening)),
+        ("centre of the opening", f"{_place(figures)} m from the centre of the bounding box"),
         ("size of the bounding box", " x ".join(f"{side:.4g}" for side in size) + " m"),
         ("angular step", f"{step:g}°"),
         ("rays", f"{rays:,}"),
@@ -66,6 +68,11 @@ def figure_rows(
 def known_rows(rows: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
     """`figure_rows` without those that say which package is missing here, for other readers."""
     return [row for row in rows if row[1] not in (_NEEDS_UGR, _NEEDS_COLOUR)]
+
+
+def _place(figures: PhotometricFigures) -> str:
+    # Plus 0: no negative zero.
+    return ", ".join(f"{round(each, 4) + 0.0:.4g}" for each in figures.opening_centre)
 
 
 def _colour_rows(figures: PhotometricFigures) -> list[tuple[str, str]]:

@@ -34,7 +34,7 @@ def ugr_table(distribution: IntensityDistribution) -> NDArray[np.float64] | None
     """The table of ratings.
 
     Luminaires are a quarter of the mounting height of 2 m apart. Only intensities from C0 to C90
-    are used, as if the luminaire were symmetrical. Its luminous area is that of its box.
+    are used, as if the luminaire were symmetrical. Its luminous area is its opening's.
 
     Args:
         distribution: intensities and luminous opening.

@@ -38,7 +38,7 @@ class Lamp:
 
     def __init__(self, description, arrays):
         self.description, self.arrays, self.images = description, arrays, {}
-        self.name = description["name"]
+        self.name, self.absolute = description["name"], description.get("absolute", False)
         self.collection = bpy.data.collections.new(self.name)
         self.empty = bpy.data.objects.new(self.name, None)
         self.empty.empty_display_size = description["radius"]
@@ -47,7 +47,7 @@ class Lamp:
         self.empty["tint"] = [1.0, 1.0, 1.0]
         text = "Factors on the red, green and blue of the light"
         self.empty.id_properties_ui("tint").update(min=0.0, description=text)
-        for name in ("watts", "temperature"):
+        for name in ("watts", "temperature", "absolute"):
             if name in description:
                 self.empty[name] = description[name]
         self.collection.objects.link(self.empty)
@@ -81,8 +81,9 @@ class Lamp:
         tree.links.new(coordinates.outputs["Normal"], lookup.inputs["Vector"])
         tree.links.new(lookup.outputs["Color"], emission.inputs["Color"])
         tree.links.new(emission.outputs[0], output.inputs["Surface"])
-        # Flux grows as the area of what emits.
-        drive(data, "energy", self.empty, f"{light['watts']!r} * gain * scale * scale")
+        # Flux grows as the area of what emits, but a photometric file has its flux at any size.
+        grown = "" if self.absolute else " * scale * scale"
+        drive(data, "energy", self.empty, f"{light['watts']!r} * gain{grown}")
         for channel, factor in enumerate(("red", "green", "blue")):
             drive(data, "color", self.empty, factor, channel)
         self.add(data.name, data).location = light["position"]
@@ -124,7 +125,8 @@ class Lamp:
         if "image" in tree:
             made.image = self.image(*tree["image"])
         if made.name == "lumitree gain":
-            drive(made.outputs[0], "default_value", self.empty, "gain")
+            dimmed = " / scale / scale" if self.absolute else ""
+            drive(made.outputs[0], "default_value", self.empty, f"gain{dimmed}")
         if made.name == "lumitree tint":
             for channel, factor in enumerate(("red", "green", "blue")):
                 drive(made.inputs[channel], "default_value", self.empty, factor)

@@ -128,6 +128,8 @@ def _light_data(
         ],
         "watts": total.tolist(),
     }
+    if asset.is_photometric:
+        description["absolute"] = True
     temperature = colour_temperature(total)[0]
     if np.isfinite(temperature):
         description["temperature"] = temperature

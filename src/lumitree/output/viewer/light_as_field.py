@@ -100,7 +100,7 @@ def _by_bin(light: LightField) -> NDArray[np.float64]:
     fine = max(own, _RESOLUTION)
     shape = _RESOLUTION, fine // _RESOLUTION, _RESOLUTION, fine // _RESOLUTION
     weight = solid_angles(fine).reshape(shape)
-    weight /= weight.sum(axis=(1, 3), keepdims=True)
+    weight = weight / weight.sum(axis=(1, 3), keepdims=True)
     colours = unpack(light.intensity) * light.scale
     means = []
     for channel in range(3):

@@ -50,7 +50,12 @@ def emitter_class() -> type:
             return light_colour(self.placed.asset)
 
         def light(self):
-            return LampLight(self.placed, self.sampler, self.light_colour, self.gain)
+            return LampLight(self.placed, self.sampler, self.light_colour, self.factor)
+
+        @property
+        def factor(self):
+            """Factor on the radiance of the asset: `gain`, less for larger absolute light."""
+            return self.gain * self.placed.dimming
 
         def light_inside(self):
             placed = self.placed
@@ -74,7 +79,7 @@ def emitter_class() -> type:
 
         def irradiance(self, point, n, random, active):
             line = self.placed.local_line(point, n)
-            return self.gain * self.sampler.irradiance(*line, random, active)
+            return self.factor * self.sampler.irradiance(*line, random, active)
 
         def traverse(self, callback):
             super().traverse(callback)
@@ -100,7 +105,7 @@ def emitter_class() -> type:
 
         def eval(self, si, active=True):
             line, entering = self.placed.entering_line(si, active)
-            radiance = self.gain * self.sampler.look(*line, entering)[0]
+            radiance = self.factor * self.sampler.look(*line, entering)[0]
             return self.light_colour(radiance, si.wavelengths) & entering
 
         def sample_target(self, it, sample, active):
@@ -135,7 +140,7 @@ def emitter_class() -> type:
             radiance, _, ds.pdf = self.sampler.eval(
                 x, entry, direction, near, active, target, specular_chain=True
             )
-            radiance = self.light_colour(self.gain * radiance, it.wavelengths)
+            radiance = self.light_colour(self.factor * radiance, it.wavelengths)
             return ds, dr.select(ds.pdf > 0, radiance / ds.pdf, 0)
 
         def pdf_direction(self, it, ds, active=True):
@@ -149,7 +154,7 @@ def emitter_class() -> type:
             line = self.placed.local_line(it.p, ds.d)
             facing = active & (dr.dot(ds.d, ds.n) < 0)
             radiance, _ = self.sampler.look(*line, facing)
-            return self.light_colour(self.gain * radiance, it.wavelengths) & facing
+            return self.light_colour(self.factor * radiance, it.wavelengths) & facing
 
         def sample_wavelengths(self, si, sample, active=True):
             return mi.Color0f(), self.eval(si, active)
@@ -169,7 +174,7 @@ def emitter_class() -> type:
             si.n = placed.scene_direction(n)
             si.time = time
             ray = si.spawn_ray(placed.scene_direction(direction))
-            return ray, self.gain * flux * dr.square(placed.scale) & active
+            return ray, self.factor * flux * dr.square(placed.scale) & active
 
         def sample_position(self, time, sample, active=True):
             raise LumitreeError(

@@ -125,7 +125,7 @@ def geometry_emitter_class() -> type:
         def _eval(self, si, active):
             assert self._radiance is not None
             front = active & (mi.Frame3f.cos_theta(si.wi) > 0)
-            radiance = self._lamp.gain * self._gain * self._radiance(si, front)
+            radiance = self._lamp.factor * self._gain * self._radiance(si, front)
             return dr.select(front, self._lamp.light_colour(radiance, si.wavelengths), 0)
 
         def eval(self, si, active=True):

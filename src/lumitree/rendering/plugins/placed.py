@@ -88,6 +88,9 @@ class Placed:
         scale = similarity_scale(scene_from_local, "to_world")
         self._scale, self._origin = scale, scene_from_local[:3, 3]
         self._axes = scene_from_local[:3, :3] / scale
+        # Absolute intensities stay at any size: the radiance falls with the area.
+        self._dimming = (asset.frame.scale / scale) ** 2 if asset.is_photometric else 1.0
+        self.dimming = parameter(mi.Float, self._dimming)
         half = asset.frame.half_extents + self._margin
         self._half = parameter(mi.Vector3f, *half.tolist())
         self._near = parameter(mi.Vector3f, *(half + _TOUCH).tolist())
@@ -166,7 +169,7 @@ class Placed:
     def axis_intensities(self) -> NDArray[np.float64]:
         """Luminous intensity [6] towards x, y and z of the scene and against them, without gain."""
         # The scene's axes in the local frame are the rows of the rotation from it.
-        return axis_intensities(self.asset, self._axes) * self._scale**2
+        return axis_intensities(self.asset, self._axes) * self._dimming * self._scale**2
 
     @property
     def sphere(self) -> tuple[NDArray[np.float64], float]:

@@ -87,7 +87,10 @@ def shape(
     Args:
         asset: an asset, or the path of a `.lumitree` file, a photometric file or a ray file.
         to_world: [4, 4] matrix or Mitsuba transform that moves the luminaire from its own
-            file's frame into the scene; rotation, translation and uniform scale. Default: stay.
+            file's frame into the scene; rotation, translation and uniform scale. Default: stay. A
+            scale changes neither intensities nor flux of a photometric file, for a scene in metres;
+            other lamps keep their radiance. In a scene of another unit a photometric file needs a
+            `gain` of one over the square of the metres in that unit.
         sampling: of directions: "emission", about in proportion to it, or "uniform" over the proxy.
         gain: [3] factors on the R, G and B of the emitted light, or one number for all; 0 to 10⁶.
         appearance: what images show. "geometry": the luminaire itself, if the asset has it; for the

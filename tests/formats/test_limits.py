@@ -1,0 +1,188 @@
+"""Files of others that are small and would take gigabytes: one line, before the work."""
+
+import io
+import zipfile
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from lumitree.cli import main
+from lumitree.errors import LumitreeError, LumitreeWarning
+from lumitree.formats.archive import Archive
+from lumitree.formats.gldf_asset import bake_gldf
+from lumitree.formats.tm33 import read_tm33
+from lumitree.formats.xml_tree import parse_xml
+from support.gldf_files import l3d, light, obj, part, product, structure, surface
+from support.photometric_types import ies
+from support.tm33_files import table, tm33
+
+FILES = (
+    '<File id="ldc" contentType="ldc/ies" type="localFileName">{}</File>'
+    '<File id="geo" contentType="geo/l3d" type="localFileName">lamp.l3d</File>'
+)
+MIB = 1 << 20
+
+
+@pytest.fixture(autouse=True)
+def folder(mi, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def photometry():
+    return ies("C", np.zeros(1), np.array([0.0, 90]), np.array([[100.0, 0]])).encode()
+
+
+def zipped(files, method=zipfile.ZIP_DEFLATED):
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w", method) as archive:
+        for name, data in files.items():
+            archive.writestr(name, data)
+    return content.getvalue()
+
+
+def gldf(path="lamp.gldf", xml=None, model=None, method=zipfile.ZIP_DEFLATED):
+    """Path of a GLDF file."""
+    files = {
+        "product.xml": product(files=FILES.format("lamp.ies")) if xml is None else xml,
+        "ldc/lamp.ies": photometry(),
+        "geo/lamp.l3d": l3d() if model is None else model,
+    }
+    with open(path, "wb") as file:
+        file.write(zipped(files, method))
+    return path
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_other_methods_of_compression_are_refused(method):
+    """zipfile unpacks them as a whole, whatever size is read: 2 GiB of 1.7 kB."""
+    with pytest.raises(LumitreeError, match=r"product.xml in lamp.gldf is compressed by method 1"):
+        bake_gldf(gldf(method=method))
+
+
+def test_a_member_is_refused_by_the_size_that_it_states(monkeypatch):
+    unpacked = []
+    monkeypatch.setattr(zipfile.ZipExtFile, "read", lambda *_: unpacked.append(1))
+    with pytest.raises(LumitreeError, match=r"is too large: 300 MiB, of which 256 MiB would be"):
+        bake_gldf(gldf(xml=b" " * (300 * MIB)))
+    assert not unpacked
+
+
+def test_a_list_of_members_is_counted_before_it_is_read(monkeypatch):
+    content = zipped({f"{i}": b"" for i in range(1 << 14)} | {"last": b""})
+    monkeypatch.setattr(zipfile, "ZipFile", None)
+    with pytest.raises(LumitreeError, match=r"a has 16385 members; at most 16384 are read"):
+        Archive(content, "a", "an archive")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"<a>" + b" " * (33 * MIB) + b"</a>", "larger than 32 MiB"),
+        (b"<a>" + b"<b/>" * (1 << 19) + b"</a>", "more than 524288 elements"),
+        (b"<a " + b'b="" ' * ((1 << 20) + 1) + b"/>", "more than 1048576 attributes"),
+        (b"<a>" * 300 + b"</a>" * 300, "more than 256 deep"),
+        (b'<!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>', "declares XML entities"),
+    ],
+)
+def test_limits_of_xml(content, message):
+    with pytest.raises(LumitreeError, match=message):
+        parse_xml(content, "x", "a file")
+
+
+PARTS = part(light(), surface())
+
+
+@pytest.mark.parametrize(
+    ("model", "message"),
+    [
+        (obj() + "\n" * (33 * MIB), "too large: 33 MiB, of which 32 MiB"),
+        (obj() + "f 1 2 3\n" * (1 << 20), "more than 1048576 lines"),
+        (obj() + ("f" + " 1 2 3" * 300 + "\n") * 2400, "or 2097152 corners of faces"),
+    ],
+)
+def test_limits_of_models(model, message):
+    """The light is there without them."""
+    path = gldf(model=l3d(box_obj=model))
+    with pytest.warns(LumitreeWarning, match=f"its light without its 3D model: .*{message}"):
+        assert bake_gldf(path).geometry is None
+
+
+def test_pixels_of_images_are_counted_before_they_are_decoded():
+    """8192² black pixels are 200 kB of PNG, and 100 bytes of an archive in another one."""
+    image = io.BytesIO()
+    Image.new("L", (8192, 8192)).save(image, "PNG")
+    mtl = "newmtl a\nmap_Kd a.png\n"
+    model = l3d(box_obj=obj(head="mtllib a.mtl\nusemtl a"), a_mtl=mtl, a_png=image.getvalue())
+    with pytest.warns(LumitreeWarning, match="its images have more than 16777216 pixels"):
+        assert bake_gldf(gldf(model=model)).geometry is None
+
+
+def test_triangles_count_in_all_places():
+    """A model of 14,012 triangles in 41 places."""
+    strip = "".join(f"v {i} 0 1\nv {i} 1 1\n" for i in range(7001))
+    faces = "".join(f"f {9 + i} {10 + i} {11 + i}\n" for i in range(14_000))
+    parts = PARTS + "".join(part(at=(i, 0, 0)) for i in range(40))
+    model = l3d(structure(parts), box_obj=obj() + strip + faces)
+    with pytest.warns(LumitreeWarning, match="more than 524288 triangles in all places"):
+        bake_gldf(gldf(model=model))
+
+
+def test_parts_of_a_model_are_counted():
+    many = l3d(structure(PARTS + 1000 * part()))
+    with pytest.raises(LumitreeError, match="more than 1000 parts and light emitting objects"):
+        bake_gldf(gldf(model=many))
+
+
+def test_emitters_of_different_angles_are_limited(folder):
+    """2 emitters of 2,000 and more angles in each direction are one grid of millions."""
+    first, second = (
+        table(np.array([0.0]), np.linspace(0, 180, 1500)),
+        table(np.linspace(0, 359.9, 1500), np.array([0.0, 180])),
+    )
+    text = tm33(data=first).replace("</IESTM33-22>", "")
+    other = tm33(data=second)
+    text += other[other.index("<Emitter>") :]
+    (folder / "a.tm33").write_text(text)
+    with pytest.raises(LumitreeError, match=r"2 emitters have 1500 x 1500 different angles"):
+        read_tm33("a.tm33")
+
+
+@pytest.mark.parametrize("command", [["info"], ["bake", "-o", "lamp.lumitree"], ["photometry"]])
+def test_a_model_without_intensities_is_named(command, folder, capsys):
+    (folder / "lamp.l3d").write_bytes(l3d())
+    assert main([command[0], "lamp.l3d", *command[1:]]) == 2
+    assert (
+        "lamp.l3d is an L3D model, which has no intensities: give the GLDF"
+        in capsys.readouterr().err
+    )
+
+
+@pytest.mark.parametrize("declared", ["UTF-16", "utf-8"])
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be"])
+def test_a_product_in_utf_16_is_read(encoding, declared):
+    xml = product(files=FILES.format("lamp.ies")).replace("UTF-8", declared).encode(encoding)
+    assert bake_gldf(gldf(xml=xml)).luminaire.startswith("lamp")
+
+
+@pytest.mark.parametrize(
+    ("encoding", "name"),
+    [
+        ("cp437", "Leuchte-äöüßñ.ies"),
+        ("cp850", "Løuchte-äöüßÁ.ies"),
+        ("cp1252", "Løuchte-äöüß€.ies"),
+        ("utf-8", "灯-äöü.ies"),
+    ],
+)
+def test_names_of_members_in_the_encodings_of_older_programs(encoding, name):
+    """Programs that do not mark a name as UTF-8 write it in a code page."""
+    raw = name.encode(encoding)
+    files = {
+        "product.xml": product(files=FILES.format(name)).encode(),
+        f"ldc/{'X' * len(raw)}": photometry(),
+        "geo/lamp.l3d": l3d(),
+    }
+    with open("lamp.gldf", "wb") as file:
+        file.write(zipped(files).replace(b"X" * len(raw), raw))
+    assert bake_gldf("lamp.gldf").light_field is not None
