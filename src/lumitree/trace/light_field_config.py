@@ -24,8 +24,8 @@ class LightFieldConfig:
             resolution.
         depth: the grid has 2**depth cells along the longest side of the box, 1 to 7. Cells blur
             the light of what is near: with 16 cells a side a plane that touches the box has an
-            error of 1 to 6 %, with 32 of 1 %. None: 32 cells, or 64 or 128 where light starts in
-            a small part of the box.
+            error of 1 to 6 %, with 32 of 1 %. None: 32 cells, or 64 or 128 for a lamp whose light
+            starts in a small part of the box.
         resolution: bins of direction a side, a power of two. They blur the light of what is far.
         batch: paths that are traced at once, 1 to 2²⁴; bounds the memory.
 

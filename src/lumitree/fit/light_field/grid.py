@@ -1,9 +1,11 @@
 """How fine the grid of a light field is: cells follow the light, and not the box of the lamp.
 
-A chain or a cable makes the box longer and the cells larger, and adds next to no light. So the grid
-is the finest in which the light starts in few cells. Its sides are powers of two: cells of a
-coarser grid are sums of 2 × 2 × 2 cells.
+A chain or a cable makes the box longer and the cells larger, and adds next to no light. So the side
+of a cell is a part of the spread of the light. It is a power of two of the side of the box: cells
+of a coarser grid are sums of 2 × 2 × 2 cells.
 """
+
+import math
 
 import numpy as np
 
@@ -20,18 +22,18 @@ from lumitree.trace.light_field_config import LEAST_DEPTH
 from lumitree.trace.light_paths import LightPaths
 
 _PATHS = 1 << 16
-# Parts of the flux, and in how many cells they may start. Of lamps that fill their box, 240 to 1,200
-# cells have 90 % of the flux if there are 32 a side. The limit of all cells bounds the memory.
+# Quantiles of the flux between which the light is.
+_SPREAD = (0.05, 0.95)
+# Parts of the flux, and the cells in which they may start: finer cells would get too few paths. In
+# the coarsest grid 90 % of the flux of lamps is in up to 1,200 cells. The second limit bounds the
+# memory.
 _LIMITS = ((0.9, 800), (1.0, 6000))
 
 
 def grid_depth(luminaire: Luminaire) -> int:
-    """The largest depth at which light that leaves a luminaire, or ends on it, is in few cells.
+    """Depth of the grid for a luminaire: at least `LEAST_DEPTH`, and larger where light is dense.
 
     It does not depend on the seed of a bake, so that fields of different seeds can be merged.
-
-    Returns:
-        `LEAST_DEPTH` to `MAX_DEPTH`.
 
     Raises:
         LumitreeError: a path's flux is NaN or infinite.
@@ -41,11 +43,29 @@ def grid_depth(luminaire: Luminaire) -> int:
         _PATHS, seed, ending=EndingConfig(MAX_DEPTH, seed), largest_gain=LARGEST_GAIN
     )
     assert paths.ending is not None
-    for depth in range(MAX_DEPTH, LEAST_DEPTH, -1):
+    finer = round(math.log2(1 / max(_spread(paths), 2.0**-MAX_DEPTH)))
+    for depth in range(min(LEAST_DEPTH + finer, MAX_DEPTH), LEAST_DEPTH, -1):
         cells = _flux_by_cell(paths, depth), _flux_by_cell(paths.ending, depth)
         if all(_num_cells(flux, part) <= most for flux in cells for part, most in _LIMITS):
             return depth
     return LEAST_DEPTH
+
+
+def _spread(rays: LightPaths) -> float:
+    """Side of the light over the side of the lamp's box, 0 to 1.
+
+    It is the side of a square with the area of the largest face of the light's box: light along a
+    line is not spread, since receivers beside it are near.
+    """
+    low, high = np.quantile(
+        as_rows(rays.origin),
+        _SPREAD,
+        axis=0,
+        weights=luminance(as_rows(rays.flux)),
+        method="inverted_cdf",
+    )
+    sides = np.sort(high - low) / 2
+    return math.sqrt(sides[1] * sides[2])
 
 
 def _flux_by_cell(rays: LightPaths | EndingSegments, depth: int) -> np.ndarray:
