@@ -389,6 +389,30 @@ def test_rough_surfaces_of_the_lamp_show_its_own_light(make, rr_depth):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("kind", ["sphere", "cube"])
+def test_rough_surfaces_show_the_light_of_textures(mi, make, tmp_path, kind):
+    """On a sphere, and on a cube, all faces of which have the same texture coordinates.
+
+    `prb_basic` finds emitters only by hitting them.
+    """
+    pixels = np.zeros((8, 8, 3), np.float32)
+    pixels[:3, :3] = 30, 20, 10
+    mi.Bitmap(pixels).write(str(tmp_path / "patch.exr"))
+    texture = (
+        f'{BLACK}<emitter type="area"><texture type="bitmap" name="radiance">'
+        f'<string name="filename" value="{tmp_path}/patch.exr"/><boolean name="raw" value="true"/>'
+        '<string name="filter_type" value="nearest"/></texture></emitter>'
+    )
+    glowing = (sphere if kind == "sphere" else cube)("glow", 0.4, inside=texture)
+    table = cube("table", (1.2, 0.05, 1.2), (0, -0.8, 0), GREY)
+    lamp, asset = make(scene(glowing, table))
+    objects = {"sensor": camera([0.2, 1.6, 1.6], [0, 0.8, 0], 45)}
+    ours = passes(objects | baked(asset), spp=4096, max_depth=2)
+    theirs = passes(objects | explicit(lamp), "prb_basic", spp=1 << 14, seed=500, max_depth=2)
+    assert_same_expectation(ours, theirs)
+
+
+@pytest.mark.slow
 def test_a_surface_gets_the_own_light_of_its_lamp_alone(make, shaded):
     """The light of another lamp comes from its light field."""
     _, asset = shaded

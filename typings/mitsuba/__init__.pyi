@@ -156,6 +156,9 @@ class Interaction3f(_Struct):
 class PreliminaryIntersection3f(_Struct):
     t: Any
     shape: Any
+    prim_index: Any
+    prim_uv: Any
+    valid: Any
     def is_valid(self) -> Any: ...
     def compute_surface_interaction(
         self, ray: Any, ray_flags: Any = ..., active: Any = ...
@@ -293,6 +296,7 @@ class Shape(Object):
     def emitter(self) -> Any: ...
     def is_mesh(self) -> bool: ...
     def is_emitter(self) -> bool: ...
+    def surface_area(self) -> Any: ...
     def bbox(self) -> Any: ...
 
 class Mesh(Shape):
@@ -396,6 +400,7 @@ class LogLevel:
     Error: LogLevel
 
 class ObjectType:
+    Emitter: ObjectType
     Shape: ObjectType
 
 class Properties:

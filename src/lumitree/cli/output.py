@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from lumitree.errors import shown
+from lumitree.trace.flux_figures import flux_text
 
 LONGEST_LINE = 1000
 # Longest list of lamps that is printed whole.
@@ -146,6 +147,12 @@ def _print_irradiance(irradiance: dict[str, Any] | None) -> None:
     for face, values in irradiance["faces"].items():
         table.add_row(face, *(_with_error(values, name) for name in ("ratio", "rms")))
     Console().print(table)
+    # Of a comparison of two assets there is none.
+    if (flux := irradiance.get("flux")) is not None:
+        print(f"flux: {flux_text(flux['light_paths'], flux['light_paths_error'])} by light paths")
+        if flux["camera_paths"] is not None:
+            text = flux_text(flux["camera_paths"], flux["camera_paths_error"])
+            print(f"flux: {text} by camera paths that hit the emitters")
 
 
 def _with_error(values: dict[str, float | None], name: str) -> str:

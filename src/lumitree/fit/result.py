@@ -17,7 +17,7 @@ class BakeResult(Result):
         path: file of the asset; None if none was written.
         irradiance: error of the irradiance around the asset: `irradiance_ratio`, `irradiance_rms`
             and `irradiance_rms_touching`, as in `EvaluateResult.metrics`, and `paths`,
-            `ratio_error` and `faces`, as in `EvaluateResult.irradiance`. None if it was not
+            `ratio_error`, `faces` and `flux`, as in `EvaluateResult.irradiance`. None if it was not
             compared: for a dataset, for 0 `irradiance_paths`, and after an interruption.
         held_out_psnr: PSNR on held-out rays, dB; None if no field was baked from
             rays.

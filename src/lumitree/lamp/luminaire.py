@@ -1,9 +1,10 @@
 """A luminaire that has been loaded, and what can be given as one."""
 
 import dataclasses
+import functools
 import os
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,9 @@ from lumitree.errors import LumitreeError, shown
 from lumitree.lamp.scene_file import SceneFile
 from lumitree.lamp.scene_shapes import SceneShape
 from lumitree.lamp.source import LuminaireSource
+
+if TYPE_CHECKING:
+    from lumitree.lamp.emitting_surfaces import EmittingSurfaces
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,6 +76,13 @@ class Luminaire:
     def size(self) -> NDArray[np.float64]:
         """[3] sides of the bounding box, in the unit of the luminaire's file."""
         return self.frame.size
+
+    @functools.cached_property
+    def emitting_surfaces(self) -> "EmittingSurfaces":
+        """Its surfaces that emit, on the device."""
+        from lumitree.lamp.emitting_surfaces import emitting_surfaces
+
+        return emitting_surfaces(self.scene)
 
     @property
     def parsed(self) -> SceneFile:

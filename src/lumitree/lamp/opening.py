@@ -95,6 +95,9 @@ def open_scene_file(source: LuminaireSource) -> SceneFile:
     patterns = (source.keep, source.drop) if own else ((), ())
     file = SceneFile(path, *patterns, folder=folder)
     _check_emitters(file)
+    for node in file.nodes("Emitter"):
+        # All emitters of a lamp count; the weight is for scenes.
+        node.props.remove_property("sampling_weight")
     return file
 
 

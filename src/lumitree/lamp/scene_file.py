@@ -372,12 +372,17 @@ class SceneFile:
         # Lamps would be created within each other, by tasks that wait.
         lamps = (node.props.plugin_name() == "lumitree_proxy" for node in self._used())
         self._config.parallel = not any(lamps)
+        # Creating a scene clears the nodes.
+        from lumitree.lamp.textured_area import complete_textured_areas, replace_textured_areas
+
+        state = mi.parser.ParserState(self._state)
+        replace_textured_areas(state)
         with self._searching(), self._readable(), second_thread():
-            # Creating a scene clears the nodes.
-            scene = mi.parser.instantiate(self._config, mi.parser.ParserState(self._state))
+            scene = mi.parser.instantiate(self._config, state)
         if not isinstance(scene, mi.Scene):
             raise LumitreeError(f"{self._name} does not hold a <scene>; found {type(scene)}")
         transforms_as_parameters(scene.shapes())
+        complete_textured_areas(scene)
         if has_media:
             keep_clear_channels(scene)
         return scene

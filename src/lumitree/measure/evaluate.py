@@ -51,8 +51,10 @@ class EvaluateResult(ImageResult):
         irradiance: `paths`, traced for each of both sides; `ratio_error`, the standard error of
             `irradiance_ratio`; and `faces`: for each of "-x", "+x", "-y", "+y", "-z", "+z" and
             "touching" the mean illuminance `explicit_lux` and `baked_lux`, lx, their `ratio` and
-            the relative `rms` error, with the standard errors `ratio_error` and `rms_error`. None
-            if the irradiance was not compared.
+            the relative `rms` error, with the standard errors `ratio_error` and `rms_error`; and
+            `flux` of a luminaire by two methods that share nothing, lm: by `light_paths`, and by
+            `camera_paths` that hit its emitters, with `light_paths_error` and
+            `camera_paths_error`. None if the irradiance was not compared.
         irradiance_sheet: file of the irradiance in false colour; None if none was written.
         irradiance_png: this image, as the bytes of a PNG file; None if it was not made.
     """
@@ -125,6 +127,7 @@ def evaluate(
     check_irradiance_paths(irradiance_paths)
     check_image_settings(resolution=resolution, spp=samples_per_pixel)
     mi = load_rgb(variant)
+    from lumitree.measure.flux_check import check_flux
     from lumitree.measure.irradiance import evaluate_irradiance
     from lumitree.measure.irradiance_figure import draw_irradiance
     from lumitree.measure.view_errors import evaluate_views
@@ -147,7 +150,7 @@ def evaluate(
         }
     )
     settings = image_settings("evaluate", asset=title, **views, variant=mi.variant())
-    irradiance, irradiance_png = None, None
+    irradiance, irradiance_png, flux = None, None, {}
     watch = Stopwatch()
     with contextlib.ExitStack() as stack:
         stack.enter_context(reporting(progress))
@@ -161,6 +164,7 @@ def evaluate(
         if lamp is not None and irradiance_paths > 0:
             with watch.stage("irradiance"):
                 irradiance = evaluate_irradiance(baked.without_gain, lamp, irradiance_paths)
+                flux = {"flux": check_flux(lamp, irradiance.explicit)}
                 irradiance_png = draw_irradiance(irradiance, title).png(settings)
                 if irradiance_sheet is not None:
                     write_bytes(irradiance_sheet, irradiance_png)
@@ -171,7 +175,7 @@ def evaluate(
         asset=asset_json(baked, path),
         sheet=None if sheet is None else Path(sheet),
         png=png,
-        irradiance=None if irradiance is None else irradiance.report(),
+        irradiance=None if irradiance is None else irradiance.report() | flux,
         irradiance_sheet=None if irradiance is None else irradiance_sheet,
         irradiance_png=irradiance_png,
         **watch.costs(),

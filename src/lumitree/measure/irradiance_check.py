@@ -33,8 +33,9 @@ def measure_irradiance(
     """
     if num_paths == 0:
         return None
+    from lumitree.measure.flux_check import check_flux
     from lumitree.measure.irradiance import evaluate_irradiance
 
     with watch.stage("irradiance"):
         found = evaluate_irradiance(asset.without_gain, luminaire, num_paths)
-        return found.metrics | found.report()
+        return found.metrics | found.report() | {"flux": check_flux(luminaire, found.explicit)}

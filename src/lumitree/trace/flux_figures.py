@@ -14,6 +14,7 @@ class Flux:
         lumens: luminous flux, lm.
         lumens_error: standard error of `lumens`, lm.
         paths: number of paths of the estimate.
+        hits: number of paths that carry light.
     """
 
     watts: tuple[float, ...]
@@ -21,12 +22,16 @@ class Flux:
     lumens: float
     lumens_error: float
     paths: int
+    hits: int
 
     def __str__(self) -> str:
-        """Luminous flux ± standard error, rounded to two significant digits of the error."""
-        error = self.lumens_error
-        digits = max(0, 1 - math.floor(math.log10(error))) if error else 0
-        return f"{self.lumens:,.{digits}f} ± {error:,.{digits}f} lm"
+        return flux_text(self.lumens, self.lumens_error)
+
+
+def flux_text(lumens: float, error: float) -> str:
+    """Luminous flux ± standard error, rounded to two significant digits of the error."""
+    digits = max(0, 1 - math.floor(math.log10(error))) if error else 0
+    return f"{lumens:,.{digits}f} ± {error:,.{digits}f} lm"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -78,7 +78,7 @@ def trace_light(
     """
     reservoir = None if ending is None else make_reservoir(ending, luminaire.scene_frame, count)
     origin, direction, flux, cut, termination, leaves, smooth, reservoir = _trace(
-        luminaire.scene, sampler, path_depth, reservoir, largest_gain
+        luminaire, sampler, path_depth, reservoir, largest_gain
     )
     # All at once: a sum of one of them would trace the paths for it alone.
     dr.eval(origin, direction, flux, cut, termination, leaves, smooth, reservoir)
@@ -116,8 +116,8 @@ def emitted_flux(luminaire: Luminaire, sampler: Any, count: int) -> tuple[Any, A
         mi.Color3f, flux of each path, local units, whose sum is an estimate of the flux of the bare
         emitters; and mi.UInt32, the path's emitter as its index in the scene.
     """
-    scene = luminaire.scene
-    _, flux, emitter = _emit(scene, sampler, scene_extent(scene))
+    extent = scene_extent(luminaire.scene)
+    _, flux, emitter = _emit(luminaire.emitting_surfaces, sampler, extent)
     return flux * dr.opaque(mi.Float, 1 / (count * luminaire.frame.scale**2)), emitter
 
 
@@ -135,18 +135,19 @@ def _shading_correction(si, bsdf, sample, arriving, leaving):
 
 
 @dr.syntax
-def _trace(scene, sampler, path_depth, reservoir, largest_gain):
-    context = mi.BSDFContext(mi.TransportMode.Importance)
+def _trace(luminaire, sampler, path_depth, reservoir, largest_gain):
+    scene, context = luminaire.scene, mi.BSDFContext(mi.TransportMode.Importance)
     extent, box = scene_extent(scene), scene_box(scene)
-    ray, light = _emit(scene, sampler, extent)[:2]
+    ray, light = _emit(luminaire.emitting_surfaces, sampler, extent)[:2]
     flux = mi.Color3f(light)
     # Flux without a limit over flux with it.
     cut = mi.Float(1)
     # Where the last chain of transmissions began, and its direction there.
     start, start_direction = mi.Point3f(ray.o), mi.Vector3f(ray.d)
     smooth = mi.Bool(True)
-    first = mi.Bool(True)
     medium = dr.zeros(mi.MediumPtr)
+    if dr.hint(luminaire.has_media, mode="scalar"):
+        medium = medium_paths.medium_around(scene, ray, extent)
     channel, ρ = medium_paths.draw_channel(sampler), mi.Color3f(1)
     depth = mi.UInt32(0)
     leaves = mi.Bool(False)
@@ -158,9 +159,6 @@ def _trace(scene, sampler, path_depth, reservoir, largest_gain):
         misses = active & ~si.is_valid()
         leaves |= misses
         active &= si.is_valid()
-        # An emitter inside a medium: the medium is that behind the first border.
-        medium = medium_paths.medium_after(si, -ray.d, medium, active & first)
-        first &= ~active
 
         arriving = mi.Color3f(flux)
         free_flight = medium_paths.free_flight(medium, channel, sampler, active)
@@ -219,47 +217,25 @@ def _trace(scene, sampler, path_depth, reservoir, largest_gain):
     return ray.o, ray.d, flux, cut, termination, leaves, smooth, reservoir
 
 
-def _emit(scene, sampler, extent):
-    """Rays of light paths that start; their flux (mi.Color3f), world units; and their emitters."""
-    index, chance, _ = scene.sample_emitter(sampler.next_1d())
-    emitter = dr.gather(mi.EmitterPtr, scene.emitters_dr(), index)
-    samples = sampler.next_1d(), sampler.next_2d(), sampler.next_2d()
-    ray, weight = emitter.sample_ray(0, *samples)
-    ray, factor = _emit_about_true_normal(scene, emitter, *samples, mi.Ray3f(ray), extent)
-    return ray, mi.Color3f(weight * chance * factor), index
+def _emit(surfaces, sampler, extent):
+    """Rays of light paths that start; their flux (mi.Color3f), world units; and their emitters.
 
-
-def _emit_about_true_normal(scene, emitter, wavelength, place, chosen, ray, extent):
-    """A ray of equal weight that leaves a mesh as camera paths see it; its weight's factor.
-
-    Mitsuba samples the directions of a mesh's emission about the interpolated normal. Camera paths
-    see the faces themselves, from where both normals are visible: for a wire of eight sides that is
-    2 % less flux (Veach 1997, Eq. 5.19, at the first vertex).
-
-    Args:
-        wavelength, place, chosen: samples with which the emitter returned `ray`; a direction of
-            another distribution than the cosine's is kept.
+    Directions are sampled about the true normal, not the interpolated one: the ratio of both
+    cosines has no bound. Camera paths see the faces themselves, from where both normals are
+    visible: for a wire of eight sides this is 2 % less flux (Veach 1997, Eq. 5.19, at the first
+    vertex).
 
     Returns:
-        mi.Ray3f; mi.Float, 0 where the ray leaves below the interpolated surface.
+        mi.Ray3f; mi.Color3f; and mi.UInt32, the index of the emitter in the scene.
     """
-    flags = emitter.flags()
-    diffuse = mi.has_flag(flags, mi.EmitterFlags.Surface)
-    diffuse &= ~mi.has_flag(flags, mi.EmitterFlags.DeltaDirection)
-    # The ray from the same point along the shading normal. `sample_position` would return both, but
-    # it is refused by baked luminaires, and a call on a pointer is compiled for all emitters.
-    upright, _ = emitter.sample_ray(0, wavelength, place, mi.Point2f(0.5), diffuse)
-    upright = mi.Ray3f(upright)
-    # It starts a little above the surface, whose true normal a short ray back finds.
-    probe = mi.Ray3f(upright.o, -upright.d)
-    probe.maxt = 2 * mi.math.RayEpsilon * (1 + dr.max(dr.abs(upright.o)))
-    si = scene.ray_intersect(probe, diffuse)
-    found = diffuse & si.is_valid() & (si.shape.emitter() == emitter)
-    # Sampled about the true normal, because the ratio of both cosines has no bound.
-    normal = dr.mulsign(si.n, dr.dot(si.n, upright.d))
-    direction = mi.Frame3f(normal).to_world(mi.warp.square_to_cosine_hemisphere(chosen))
-    below = found & (dr.dot(upright.d, direction) <= 0)
-    return dr.select(found, spawn(si, direction, extent), ray), dr.select(below, 0.0, 1.0)
+    point = surfaces.sample(sampler.next_2d())
+    si = point.si
+    normal = dr.mulsign(mi.Vector3f(si.n), dr.dot(si.n, si.sh_frame.n))
+    direction = mi.Frame3f(normal).to_world(mi.warp.square_to_cosine_hemisphere(sampler.next_2d()))
+    si.wi = si.to_local(direction)
+    radiance = mi.Color3f(point.emitter.eval(si))
+    flux = dr.select(point.density > 0, radiance * dr.pi / point.density, 0)
+    return spawn(si, direction, extent), flux, point.index
 
 
 def termination_point(box: Any, direction: Any, first: Any, last: Any, at_first: Any) -> Any:

@@ -15,10 +15,16 @@ Symbols
     ρ           mi.Spectrum, densities of the path so far, sampled for each channel, over their mean
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+
+from lumitree.trace.spawning import spawn
+
+# Surfaces that a ray crosses to the first border of a medium.
+_MAX_CROSSINGS = 128
 
 
 def coefficients(medium: Any, active: Any, wavelengths: Any = None) -> tuple[Any, Any]:
@@ -80,6 +86,34 @@ def transmittance(medium: Any, distance: Any, active: Any, wavelengths: Any = No
 def medium_after(si: Any, direction: Any, medium: Any, active: Any) -> Any:
     """Medium of a ray that leaves a surface in a direction; `medium` is that before it."""
     return dr.select(active & si.is_medium_transition(), si.target_medium(direction), medium)
+
+
+@dr.syntax
+def medium_around(
+    scene: Any,
+    ray: Any,
+    extent: Any,
+    is_border: Callable[[Any, Any], Any] = lambda hit, active: hit.is_medium_transition(),
+) -> Any:
+    """mi.MediumPtr where rays start: the medium on this side of the first border on their way.
+
+    Args:
+        scene: mi.Scene.
+        ray: mi.Ray3f.
+        extent: `scene_extent` of it.
+        is_border: function of a hit and a mask. Default: borders are where media change.
+    """
+    ray, active = mi.Ray3f(ray), dr.full(mi.Bool, True, dr.width(ray))
+    medium, crossings = dr.zeros(mi.MediumPtr, dr.width(ray)), mi.UInt32(0)
+    while active:
+        hit = scene.ray_intersect(ray, active)
+        active &= hit.is_valid()
+        border = active & is_border(hit, active)
+        medium[border] = hit.target_medium(-ray.d)
+        crossings += 1
+        active &= ~border & (crossings < _MAX_CROSSINGS)
+        ray[active] = spawn(hit, ray.d, extent)
+    return medium
 
 
 def scattering_point(ray: Any, distance: Any) -> Any:

@@ -19,8 +19,9 @@ from lumitree.rendering.plugins.emitter_calls import eval_target, is_summed, sam
 from lumitree.rendering.plugins.integrator import DEFAULT_RR_DEPTH, trace_paths
 from lumitree.rendering.plugins.path_scene import PathScene
 from lumitree.rendering.plugins.path_state import PathState
-from lumitree.rendering.plugins.proxies import MAX_CROSSINGS, NONE
+from lumitree.rendering.plugins.proxies import NONE
 from lumitree.rendering.plugins.shadow_rays import visible
+from lumitree.trace import medium_paths
 from lumitree.trace.spawning import spawn
 
 
@@ -53,24 +54,18 @@ def receivers(
     return si
 
 
-@dr.syntax
 def medium_at(scene: PathScene, si: mi.SurfaceInteraction3f) -> mi.MediumPtr:
     """Medium that receivers are in: that on this side of the first border along their normals."""
-    medium = dr.zeros(mi.MediumPtr, dr.width(si.p))
-    if dr.hint(scene.has_media, mode="scalar"):
-        owners = scene.divided.owners
-        direction, crossings = mi.Vector3f(si.n), mi.UInt32(0)
-        ray, active = spawn(si, direction, scene.extent), dr.full(mi.Bool, True, dr.width(si.p))
-        while active:
-            hit = scene.divided.surfaces.ray_intersect(ray, active)
-            active &= hit.is_valid()
-            # The glass of a placed lamp does not say what is around it.
-            border = active & hit.is_medium_transition() & (owners.of(hit.shape, active) == NONE)
-            medium[border] = hit.target_medium(-direction)
-            crossings += 1
-            active &= ~border & (crossings < MAX_CROSSINGS)
-            ray[active] = spawn(hit, direction, scene.extent)
-    return medium
+    if not scene.has_media:
+        return dr.zeros(mi.MediumPtr, dr.width(si.p))
+    owners = scene.divided.owners
+
+    def is_border(hit: mi.SurfaceInteraction3f, active: mi.Bool) -> mi.Bool:
+        # The glass of a placed lamp does not say what is around it.
+        return hit.is_medium_transition() & (owners.of(hit.shape, active) == NONE)
+
+    ray = spawn(si, mi.Vector3f(si.n), scene.extent)
+    return medium_paths.medium_around(scene.divided.surfaces, ray, scene.extent, is_border)
 
 
 def emitter_light(

@@ -133,10 +133,10 @@ def sample_self_emission(
     return dr.zeros(mi.ShapePtr), mi.Float(0), mi.Float(0)
 
 
-def self_radiance(
-    emitter: mi.Emitter, ds: mi.DirectionSample3f, wavelengths: mi.Spectrum, active: mi.Bool
-) -> mi.Spectrum:
-    """Radiance of a sampled point of a lamp's shape."""
+def sample_self_direction(
+    emitter: mi.Emitter, it: mi.Interaction3f, sample: mi.Point2f, active: mi.Bool
+) -> tuple[mi.DirectionSample3f, mi.Spectrum]:
+    """Direction to a lamp's shape, as `GeometryEmitter.sample_self_direction`."""
     if isinstance(emitter, GeometryEmitter):
-        return emitter.radiance_at(ds, wavelengths, active)
-    return mi.Spectrum(0)
+        return emitter.sample_self_direction(it, sample, active)
+    return dr.zeros(mi.DirectionSample3f), mi.Spectrum(0)

@@ -8,9 +8,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from lumitree.core.alias_table import AliasTable
 from lumitree.core.device import on_device
 from lumitree.rendering.plugins.deferred_emitter import DeferredEmitter
-from lumitree.rendering.sampling.alias_table import AliasTable
 from lumitree.rendering.sampling.lamp_choice import NO_LAMP, LampChoices, Lamps
 from lumitree.rendering.sampling.samples import divide_sample
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
@@ -21,25 +20,25 @@ class Radiance:
 
     Args:
         source: a texture that has it, or R, G and B.
+
+    Attributes:
+        constant: the radiance if it is everywhere the same, else None.
     """
 
     def __init__(self, source: mi.Texture | Sequence[float]) -> None:
-        self._texture = source if isinstance(source, mi.Texture) else None
-        if not isinstance(source, mi.Texture):
-            self._constant = parameter(mi.Color3f, *source)
+        self.constant: mi.Color3f | None = None
+        if isinstance(source, mi.Texture):
+            self._texture = source
+        else:
+            self.constant = parameter(mi.Color3f, *source)
 
     def __call__(self, si: mi.SurfaceInteraction3f, active: mi.Bool) -> mi.Color3f:
         """Radiance of a point."""
-        if self._texture is None:
-            return self._constant
+        if self.constant is not None:
+            return self.constant
         if mi.is_spectral:
             return self._texture.eval_3(si, active)
         return mi.Color3f(self._texture.eval(si, active))
-
-    def mean(self) -> float:
-        """Mean over the surface and the channels."""
-        mean = dr.mean(self._constant) if self._texture is None else self._texture.mean()
-        return float(np.ravel(mean)[0])
 
 
 class Materials:
@@ -67,12 +66,11 @@ class Materials:
 
     def radiance(self, radiance: Any) -> Radiance:
         """What a shape emits."""
+        if not isinstance(radiance, dict):
+            return Radiance(np.broadcast_to(radiance, 3).tolist())
         if not mi.is_spectral:
             values = {"radiance": self._value(radiance)}
             return Radiance(make_properties("", values).get_emissive_texture("radiance"))
-        if not isinstance(radiance, dict):
-            # As a texture it would be a spectrum already.
-            return Radiance(np.broadcast_to(radiance, 3).tolist())
         if "attribute" in radiance:
             raise LumitreeError(
                 "a surface of the lamp emits by the colours of its vertices, which spectral "

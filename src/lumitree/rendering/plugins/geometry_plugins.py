@@ -16,8 +16,10 @@ from typing import Any, Protocol, runtime_checkable
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from lumitree.core.device import parameter
+from lumitree.lamp.emitting_surfaces import EmittingSurfaces
 from lumitree.rendering.plugins.delta_bsdf import delta_bsdf_class
 from lumitree.rendering.plugins.geometry_materials import Radiance
 from lumitree.rendering.plugins.objects import make_properties
@@ -52,10 +54,15 @@ class GeometryEmitter(Protocol):
         """
         ...
 
-    def radiance_at(
-        self, ds: mi.DirectionSample3f, wavelengths: mi.Spectrum, active: mi.Bool
-    ) -> mi.Spectrum:
-        """Radiance of a point that was sampled on the shape, towards the vertex."""
+    def sample_self_direction(
+        self, it: mi.Interaction3f, sample: mi.Point2f, active: mi.Bool
+    ) -> tuple[mi.DirectionSample3f, mi.Spectrum]:
+        """Sample a direction from a vertex to the shape.
+
+        Returns:
+            The direction, whose `pdf` is the one of `eval_self_emission` but for the probability of
+            the shape; and radiance over the density per steradian with which it was sampled.
+        """
         ...
 
 
@@ -82,6 +89,7 @@ def geometry_emitter_class() -> type:
             self._lamp, self._lights = lamp, lights
             self._gain = parameter(mi.Color3f, *lamp.placed.asset.gain)
             self._radiance, self._index = radiance, index
+            self._surfaces: EmittingSurfaces | None = None
             self.m_flags = mi.EmitterFlags.Surface | mi.EmitterFlags.SpatiallyVarying
 
         def eval_self_emission(self, si, it, ds, active):
@@ -90,12 +98,29 @@ def geometry_emitter_class() -> type:
             pdf = self.get_shape().pdf_direction(it, ds, active) * self._lights.pmf(self._index)
             return self._eval(si, active), pdf
 
-        def radiance_at(self, ds, wavelengths, active):
+        def complete(self, shape: mi.Shape) -> float:
+            """Prepare sampling of the shape that has this emitter; returns its power, relative."""
+            assert self._radiance is not None
+            if self._radiance.constant is not None:
+                mean, area = dr.mean(self._radiance.constant), shape.surface_area()
+                return float(np.ravel(mean)[0] * np.ravel(area)[0])
+            radiance = self._radiance
+            self._surfaces = EmittingSurfaces([shape], lambda si, _: radiance(si, mi.Bool(True)))
+            return self._surfaces.power
+
+        def sample_self_direction(self, it, sample, active):
             if self._radiance is None:
-                return mi.Spectrum(0)
-            si = mi.SurfaceInteraction3f(ds, wavelengths)
-            si.wi = mi.Vector3f(0, 0, -dr.dot(ds.d, ds.n))
-            return self._eval(si, active)
+                return dr.zeros(mi.DirectionSample3f), mi.Spectrum(0)
+            shape = self.get_shape()
+            if self._surfaces is None:
+                ds = shape.sample_direction(it, sample, active)
+                si = mi.SurfaceInteraction3f(ds, it.wavelengths)
+                si.wi, pdf = mi.Vector3f(0, 0, -dr.dot(ds.d, ds.n)), ds.pdf
+            else:
+                point = self._surfaces.sample(sample, active)
+                (ds, pdf), si = point.towards(it), point.si
+                ds.pdf = shape.pdf_direction(it, ds, active)
+            return ds, dr.select(pdf > 0, self._eval(si, active) / pdf, 0)
 
         def _eval(self, si, active):
             assert self._radiance is not None

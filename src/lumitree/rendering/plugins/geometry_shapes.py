@@ -51,7 +51,7 @@ class _Builder:
         self._geometry, self._lamp = geometry, lamp
         # From the geometry's coordinates, in double precision: they may be far from the file's.
         self._matrix = scene_from_world @ geometry.file_from_geometry
-        self._lights, self._emitting = lamp.placed.self_lights, []
+        self._lights, self._emitting = lamp.placed.self_lights, list[tuple[mi.Shape, Any]]()
         # By their descriptions: all shapes of one medium share an object.
         self._media: dict[str, Any] = {}
         self._scale = similarity_scale(scene_from_world, "to_world")
@@ -81,18 +81,15 @@ class _Builder:
         else:
             made = self._mesh(mesh, make_properties("", values))
         if emitted is not None:
-            self._emitting.append((made, emitted))
+            self._emitting.append((made, values["emitter"]))
         return made
 
     def complete(self) -> None:
         """Sample what emits by its flux."""
         if self._emitting:
-            shapes, radiances = zip(*self._emitting, strict=True)
-            area = [float(np.ravel(shape.surface_area())[0]) for shape in shapes]
-            mean = [radiance.mean() for radiance in radiances]
-            # A shape of which nothing is known is not left out.
-            power = np.maximum(np.array(area) * np.array(mean), 1e-30)
-            self._lights.set_shapes(list(shapes), power)
+            power = [emitter.complete(shape) for shape, emitter in self._emitting]
+            # No shape is left out, also where no radiance was found.
+            self._lights.set_shapes([each for each, _ in self._emitting], np.maximum(power, 1e-30))
 
     def _mesh(self, mesh: dict[str, NDArray[Any]], props: mi.Properties) -> mi.Mesh:
         rotation = self._matrix[:3, :3] / self._scale

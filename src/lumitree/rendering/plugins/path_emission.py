@@ -8,9 +8,9 @@ import mitsuba as mi
 from lumitree.rendering.plugins.emitter_calls import (
     eval_target,
     hit_light,
+    sample_self_direction,
     sample_self_emission,
     sample_target,
-    self_radiance,
 )
 from lumitree.rendering.plugins.path_scene import PathScene
 from lumitree.rendering.plugins.path_segments import mis_weight
@@ -136,7 +136,7 @@ def _self_emission(
     shape, pmf, sample.x = dr.dispatch(
         scene.emitter(vertex.owner, shows), sample_self_emission, sample.x, shows
     )
-    ds = shape.sample_direction(si, sample, shows)
+    ds, weight = dr.dispatch(shape.emitter(), sample_self_direction, si, sample, shows)
     ds.pdf *= pmf
     active = shows & (ds.pdf > 0)
     wo = si.to_local(ds.d)
@@ -147,8 +147,5 @@ def _self_emission(
     active &= ~(vertex.opaque & on_opposite_sides(si, path.ray.d, ds.d))
     # The lamp's own glass attenuates its light here.
     through = visible(scene, si, ds, mi.Float(0), mi.UInt32(NONE), path.medium, active)
-    light = path.β * value * through
-    active &= dr.max(light) > 0
-    light *= dr.dispatch(shape.emitter(), self_radiance, ds, si.wavelengths, active)
-    light *= mis_weight(ds.pdf, pdf) / ds.pdf
+    light = path.β * value * through * weight * (mis_weight(ds.pdf, pdf) / pmf)
     return light & active, shape.emitter()

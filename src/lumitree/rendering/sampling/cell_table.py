@@ -17,8 +17,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.core.alias_table import AliasTable
 from lumitree.core.device import parameter
-from lumitree.rendering.sampling.alias_table import AliasTable
 from lumitree.rendering.sampling.light_cells import LightCells
 
 # Part of the samples of a cell that is by flux alone.

@@ -28,8 +28,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.core.alias_table import AliasTable
 from lumitree.core.device import on_device, parameter
-from lumitree.rendering.sampling.alias_table import AliasTable
 
 # What stands for no lamp.
 NO_LAMP = 0xFFFFFFFF

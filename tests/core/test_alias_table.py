@@ -24,7 +24,7 @@ def implied(threshold, alias):
 
 @pytest.mark.parametrize("name", rows_of_weights())
 def test_a_row_implies_its_weights(mi, name):
-    from lumitree.rendering.sampling.alias_table import alias_row
+    from lumitree.core.alias_table import alias_row
 
     weights = rows_of_weights()[name]
     threshold, alias = alias_row(weights)
@@ -34,7 +34,7 @@ def test_a_row_implies_its_weights(mi, name):
 
 @pytest.mark.parametrize("count", [1, 2, 3, 1000])
 def test_a_row_of_any_length_implies_its_weights(mi, count):
-    from lumitree.rendering.sampling.alias_table import alias_row
+    from lumitree.core.alias_table import alias_row
 
     weights = np.random.default_rng(count).exponential(1, count) ** 3
     assert implied(*alias_row(weights)) == pytest.approx(weights / weights.sum(), abs=1e-14)
@@ -43,7 +43,7 @@ def test_a_row_of_any_length_implies_its_weights(mi, count):
 def test_samples_have_the_probabilities_that_the_table_states(mi):
     import drjit as dr
 
-    from lumitree.rendering.sampling.alias_table import AliasTable
+    from lumitree.core.alias_table import AliasTable
 
     weights = np.stack(list(rows_of_weights().values()))
     table, count, samples = AliasTable([weights], *weights.shape), weights.shape[1], 1 << 20

@@ -1,0 +1,207 @@
+"""The surfaces that emit: triangles of meshes, and spheres, disks and cylinders as a whole.
+
+Light starts on surfaces, not in images: a triangle or primitive is chosen in proportion to its area
+times its mean radiance, a point is sampled uniformly by area, and the radiance is evaluated there.
+Mitsuba samples the pixels of a texture instead, which is right only where the texture
+coordinates of a shape cover the unit square exactly once.
+
+Symbols
+    pmf       probability of a triangle or primitive
+    density   of a point, per unit of area: pmf / area
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.core.alias_table import alias_row
+from lumitree.core.device import on_device, parameter
+
+# Points at which the radiance of all triangles and primitives is evaluated for their means, about,
+# and at least and at most for each. Their offset keeps them off the edges.
+_POINTS, _FEWEST, _MOST = 1 << 16, 4, 1 << 10
+# Part of the mean radiance of a shape that is added to each of its triangles: small bright spots
+# may lie between the points.
+_FLOOR = 0.05
+
+# Wavelengths at which it is evaluated in spectral variants, nm.
+_WAVELENGTHS = (450.0, 530.0, 590.0, 650.0)
+
+
+@dataclass
+class SurfacePoint:
+    """A point that was sampled (a PyTree of Dr.Jit)."""
+
+    # fmt: off
+    si: mi.SurfaceInteraction3f  # As a ray that hits the point along -n has it
+    density: mi.Float            # Probability per unit of area; 0 where nothing was sampled
+    index: mi.UInt32             # Of the shape
+    emitter: mi.EmitterPtr
+    # fmt: on
+
+    def towards(self, it: mi.Interaction3f) -> tuple[mi.DirectionSample3f, mi.Float]:
+        """Direction from a vertex to the point, whose `si.wi` is turned to the vertex.
+
+        Returns:
+            The direction, and its density per steradian. `DirectionSample3f.pdf` is left for the
+            caller: `pdf_direction` does not know the triangle, so weights of multiple importance
+            sampling use another density, on both sides. They add up to 1 with any.
+        """
+        ds, si = dr.zeros(mi.DirectionSample3f), self.si
+        ds.p, ds.n, ds.uv, ds.time = si.p, si.sh_frame.n, si.uv, it.time
+        ds.d = si.p - it.p
+        ds.dist = dr.norm(ds.d)
+        ds.d /= ds.dist
+        ds.emitter = self.emitter
+        si.wi, si.wavelengths = si.to_local(-ds.d), it.wavelengths
+        cosine = dr.abs(dr.dot(ds.d, si.n))
+        return ds, dr.select(cosine > 0, self.density * dr.square(ds.dist) / cosine, 0)
+
+
+class EmittingSurfaces:
+    """Sampling of points of shapes that emit.
+
+    Shapes are referred to by pointers, which do not keep them alive.
+
+    Args:
+        shapes: meshes and primitives, each with an emitter.
+        radiance: function of points, and of the index of the shape of each, that returns what they
+            emit towards `si.wi`.
+
+    Attributes:
+        power: area times mean radiance of all, averaged over the channels.
+    """
+
+    def __init__(
+        self,
+        shapes: Sequence[mi.Shape],
+        radiance: Callable[[mi.SurfaceInteraction3f, mi.UInt32], mi.Spectrum],
+    ) -> None:
+        areas = [_areas(shape) for shape in shapes]
+        counts = np.array([len(each) for each in areas])
+        area, shape_of = np.concatenate(areas), np.repeat(np.arange(len(shapes)), counts)
+        first = np.cumsum(counts) - counts
+        self._shapes = mi.ShapePtr(list(shapes))
+        self._emitters = mi.EmitterPtr([shape.emitter() for shape in shapes])
+        self._has_primitives = not all(shape.is_mesh() for shape in shapes)
+        self._count = parameter(mi.UInt32, float(len(area)))
+        self._shape_of = on_device(mi.UInt32, shape_of)
+        # Whether a triangle or primitive is one of a mesh, by the shape.
+        self._is_mesh = on_device(mi.Bool, [shape.is_mesh() for shape in shapes])
+        self._first = on_device(mi.UInt32, first)
+        mean = self._mean_radiance(radiance)
+        power = np.bincount(shape_of, area * mean, len(shapes))
+        floor = _FLOOR * power / np.maximum(np.add.reduceat(area, first), 1e-300)
+        weight = area * (mean + floor[shape_of])
+        self.power = float(power.sum())
+        # Black shapes are sampled too, and what they emit is 0.
+        threshold, alias = alias_row(weight if weight.sum() > 0 else area)
+        threshold = threshold.astype(np.float32).astype(np.float64)
+        pmf = (threshold + np.bincount(alias, 1 - threshold, len(area))) / len(area)
+        density = np.divide(pmf, area, out=np.zeros_like(pmf), where=area > 0)
+        self._threshold = on_device(mi.Float, threshold)
+        self._alias = on_device(mi.UInt32, alias)
+        self._density = on_device(mi.Float, density)
+
+    def sample(self, sample: mi.Point2f, active: mi.Bool | bool = True) -> SurfacePoint:
+        """Sample a point; `sample` is in the unit square."""
+        choice, place = _four_numbers(sample)
+        entry = dr.minimum(mi.UInt32(choice.x * mi.Float(self._count)), self._count - 1)
+        taken = choice.y < dr.gather(mi.Float, self._threshold, entry, active)
+        entry = dr.select(taken, entry, dr.gather(mi.UInt32, self._alias, entry, active))
+        density = dr.gather(mi.Float, self._density, entry, active)
+        si, index = self._point(entry, place, active & (density > 0))
+        emitter = dr.gather(mi.EmitterPtr, self._emitters, index, active)
+        return SurfacePoint(si, dr.select(si.is_valid(), density, 0), index, emitter)
+
+    def _point(
+        self, entry: mi.UInt32, place: mi.Point2f, active: mi.Bool | bool
+    ) -> tuple[mi.SurfaceInteraction3f, mi.UInt32]:
+        """A point of a triangle or primitive, and the index of the shape."""
+        index = dr.gather(mi.UInt32, self._shape_of, entry, active)
+        pi = dr.zeros(mi.PreliminaryIntersection3f, dr.width(entry))
+        pi.shape = dr.gather(mi.ShapePtr, self._shapes, index, active)
+        pi.prim_index = entry - dr.gather(mi.UInt32, self._first, index, active)
+        pi.prim_uv = mi.warp.square_to_uniform_triangle(place)
+        pi.t, pi.valid = mi.Float(1), mi.Bool(active)
+        ray = mi.Ray3f(mi.Point3f(0), mi.Vector3f(0, 0, 1))
+        if self._has_primitives:
+            emitter = dr.gather(mi.EmitterPtr, self._emitters, index, active)
+            on_mesh = dr.gather(mi.Bool, self._is_mesh, index, active)
+            o, d, t, uv = dr.dispatch(emitter, _on_primitive, place, active & ~on_mesh)
+            ray.o, ray.d = dr.select(on_mesh, ray.o, o), dr.select(on_mesh, ray.d, d)
+            pi.t, pi.prim_uv = dr.select(on_mesh, pi.t, t), dr.select(on_mesh, pi.prim_uv, uv)
+            pi.valid &= on_mesh | (t < dr.inf)
+        si = pi.compute_surface_interaction(ray, mi.RayFlags.All, active)
+        si.wi = si.to_local(si.n)
+        return si, index
+
+    def _mean_radiance(
+        self, radiance: Callable[[mi.SurfaceInteraction3f, mi.UInt32], mi.Spectrum]
+    ) -> NDArray[np.float64]:
+        """Mean over the channels and over some points of each triangle or primitive."""
+        count = dr.width(self._shape_of)
+        points = int(np.clip(_POINTS // count, _FEWEST, _MOST))
+        entry, number = dr.meshgrid(dr.arange(mi.UInt32, count), dr.arange(mi.UInt32, points))
+        number = mi.Float(number) + 0.5
+        # An additive recurrence covers the unit square evenly (Roberts 2018).
+        place = mi.Point2f(0.7548776662466927, 0.5698402909980532) * number
+        si, index = self._point(entry, place - dr.floor(place), mi.Bool(True))
+        # Along the shading normal, which decides whether a surface emits.
+        si.wi = mi.Vector3f(0, 0, 1)
+        if mi.is_spectral:
+            si.wavelengths = type(si.wavelengths)(*_WAVELENGTHS)
+        values = dr.mean(radiance(si, index), axis=0)
+        found = np.array(dr.select(si.is_valid(), values, 0), np.float64)
+        return np.maximum(found.reshape(points, count).mean(axis=0), 0)
+
+
+def emitting_surfaces(scene: mi.Scene) -> EmittingSurfaces:
+    """The surfaces of all emitters of a scene, whose index is the emitter's in the scene."""
+    emitters = scene.emitters_dr()
+
+    def radiance(si: mi.SurfaceInteraction3f, index: mi.UInt32) -> mi.Spectrum:
+        return dr.gather(mi.EmitterPtr, emitters, index).eval(si)
+
+    # An emitter returns its shape without the class that has the vertices of a mesh.
+    shape_of = {shape.emitter(): shape for shape in scene.shapes() if shape.is_emitter()}
+    return EmittingSurfaces([shape_of[each] for each in scene.emitters()], radiance)
+
+
+def _four_numbers(sample: mi.Point2f) -> tuple[mi.Point2f, mi.Point2f]:
+    """Numbers in [0, 1) from all bits of two such numbers."""
+    x, y = (dr.reinterpret_array(mi.UInt32, each) for each in (sample.x, sample.y))
+    first = mi.sample_tea_32(x, y)
+    second = mi.sample_tea_32(first[1], first[0])
+    x, y, z, w = (mi.Float(word >> 8) * 2.0**-24 for word in (*first, *second))
+    return mi.Point2f(x, y), mi.Point2f(z, w)
+
+
+def _areas(shape: mi.Shape) -> NDArray[np.float64]:
+    """Areas of the triangles [F] of a mesh; [1] of a primitive."""
+    if not isinstance(shape, mi.Mesh):
+        return np.array(shape.surface_area(), np.float64).ravel()
+    faces = np.array(shape.faces_buffer()).reshape(-1, 3)
+    corners = np.array(shape.vertex_positions_buffer(), np.float64).reshape(-1, 3)[faces]
+    return np.linalg.norm(np.cross(*np.moveaxis(corners[:, 1:] - corners[:, :1], 1, 0)), axis=1) / 2
+
+
+def _on_primitive(
+    emitter: mi.Emitter, place: mi.Point2f, active: mi.Bool
+) -> tuple[mi.Point3f, mi.Vector3f, mi.Float, mi.Point2f]:
+    """A ray that hits a sampled point of an emitter's primitive; its t and `prim_uv` there."""
+    shape = emitter.get_shape()
+    if shape is None or shape.is_mesh():
+        return mi.Point3f(0), mi.Vector3f(0, 0, 1), mi.Float(dr.inf), mi.Point2f(0)
+    point = shape.sample_position(0, place, active)
+    # From so near that no other part of the primitive is in between.
+    distance = dr.maximum(1e-3 * dr.sqrt(shape.surface_area()), 1e-6 * dr.max(dr.abs(point.p)))
+    ray = mi.Ray3f(point.p + distance * point.n, -mi.Vector3f(point.n))
+    pi = shape.ray_intersect_preliminary(ray, active=active)
+    return ray.o, ray.d, pi.t, pi.prim_uv
