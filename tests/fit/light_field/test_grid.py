@@ -8,7 +8,6 @@ import pytest
 from benchmarks.tall_lamps import chandelier, measure, references
 from lumitree.fit.light_field.bake import bake_light_field
 from lumitree.fit.light_field.grid import grid_depth
-from lumitree.fit.light_field.merge import merge_light_fields
 from lumitree.lamp.loading import load_luminaire
 from lumitree.trace.light_field_config import LEAST_DEPTH, LightFieldFitConfig
 from support.lamps import AREA, cube, lamp_of, sphere
@@ -40,19 +39,17 @@ def test_a_faint_glow_far_away_does_not_make_cells_larger(mi, tmp_path):
 
 
 @pytest.mark.slow
-def test_equal_seeds_give_equal_fields_and_other_seeds_can_be_merged(mi, tmp_path):
+def test_equal_seeds_give_equal_fields_and_other_seeds_equal_grids(mi, tmp_path):
     lamp = load_luminaire(chandelier(1.0))
-    fields = [
-        bake_light_field(lamp, dataclasses.replace(CONFIG, seed=seed), tmp_path / str(number))
-        for number, seed in enumerate((0, 0, 1))
-        if (tmp_path / str(number)).mkdir() is None
-    ]
-    assert [field.depth for field in fields] == [6, 6, 6]
-    assert_equal_fields(fields[0], fields[1])
-    merged = merge_light_fields([fields[0], fields[2]], ["a", "b"])
-    assert merged.depth == 6
-    stated = bake_light_field(lamp, dataclasses.replace(CONFIG, depth=6), tmp_path)
-    assert_equal_fields(fields[0], stated)
+
+    def baked(**changes):
+        folder = tmp_path / str(changes)
+        folder.mkdir(exist_ok=True)
+        return bake_light_field(lamp, dataclasses.replace(CONFIG, **changes), folder)
+
+    field = baked()
+    assert field.depth == baked(seed=1).depth == 6
+    assert_equal_fields(field, baked(depth=6))
 
 
 @pytest.mark.slow

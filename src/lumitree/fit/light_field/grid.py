@@ -33,7 +33,7 @@ _LIMITS = ((0.9, 800), (1.0, 6000))
 def grid_depth(luminaire: Luminaire) -> int:
     """Depth of the grid for a luminaire: at least `LEAST_DEPTH`, and larger where light is dense.
 
-    It does not depend on the seed of a bake, so that fields of different seeds can be merged.
+    It does not depend on the seed of a bake: fields of all seeds have the same cells.
 
     Raises:
         LumitreeError: a path's flux is NaN or infinite.
