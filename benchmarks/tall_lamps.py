@@ -13,6 +13,7 @@ Writes `tall_lamps.md` and `tall_lamps.json`.
 
 import argparse
 import dataclasses
+import math
 import tempfile
 import time
 from pathlib import Path
@@ -24,6 +25,7 @@ from benchmarks.common.options import add_seed
 from benchmarks.common.results import Results, notes
 from benchmarks.common.tables import Table
 from benchmarks.inside_box.patches import Floats
+from lumitree.core.photometry import LUMA
 
 ARMS, RADIUS = 6, 0.5
 BALL_RADIUS, BALL_PATCHES = 0.06, 64
@@ -113,7 +115,7 @@ def explicit_irradiance(scene: Any, points: Floats, normals: Floats, seed: int) 
         sampler.seed(seed + batch, samples * len(points))
         si = dr.zeros(mi.SurfaceInteraction3f, samples * len(points))
         si.p = on_device(mi.Point3f, np.repeat(points, samples, axis=0))
-        si.n = on_device(mi.Normal3f, np.repeat(normals, samples, axis=0))
+        si.n = on_device(mi.Vector3f, np.repeat(normals, samples, axis=0))
         si.sh_frame = mi.Frame3f(si.n)
         sample, weight = scene.sample_emitter_direction(si, sampler.next_2d())
         direct = weight * dr.maximum(dr.dot(sample.d, si.n), 0)
@@ -121,7 +123,8 @@ def explicit_irradiance(scene: Any, points: Floats, normals: Floats, seed: int) 
         first = scene.ray_intersect(ray)
         emitted = first.emitter(scene).eval(first)
         radiance, *_ = paths.sample(scene, sampler, mi.RayDifferential3f(ray))
-        grey = np.array(mi.luminance(mi.Color3f(direct + dr.pi * (radiance - emitted))))
+        light = mi.Color3f(direct + math.pi * (radiance - emitted))
+        grey = np.array(dr.dot(light, mi.Color3f(LUMA)))
         batches.append(grey.reshape(len(points), samples).mean(axis=1))
     return np.array(batches, np.float64)
 
@@ -158,7 +161,6 @@ def measure(
     import mitsuba as mi
 
     import lumitree
-    from lumitree.core.photometry import LUMA
     from lumitree.measure.illuminance.received import received_irradiance
     from lumitree.rendering.placement import Placement
     from lumitree.rendering.scene import PlacedLuminaire, place_luminaires
