@@ -215,8 +215,8 @@ def write_image(path: Path, rendered: dict[str, Images]) -> None:
     """The first image of each method side by side, as JPEG."""
     from PIL import Image
 
+    from lumitree.core.drawing import write_strip
     from lumitree.core.files import atomic_path
-    from lumitree.output.strip import write_strip
 
     exposure = 0.5 / float(np.median(rendered["mitsuba"].images[0]))
     panels = []

@@ -181,24 +181,26 @@ def variances(luminaire: Any, seed: int) -> dict[str, float]:
 
 def draw(name: str, evaluations: dict[str, Any], path: Path) -> None:
     """Contact sheet of the first test view: radiance and opacity, reference and methods."""
+    from lumitree.core.drawing import OPACITY, Tile, image_grid
     from lumitree.core.images import auto_exposure, tonemap
-    from lumitree.output.tiles import Layout, TileSheet, grey
 
     first = next(iter(evaluations.values())).rows[0]
     exposure = auto_exposure(first.reference)
-    sheet = TileSheet(Layout(columns=1 + len(evaluations), rows=2, tile=240))
-    sheet.title(f"{name}, {first.name}")
-    sheet.heading(0, "Reference")
-    sheet.image(0, 0, tonemap(first.reference, exposure))
-    sheet.image(1, 0, grey(first.reference_opacity))
-    for column, (label, evaluation) in enumerate(evaluations.items(), start=1):
+    radiance = [Tile(tonemap(first.reference, exposure))]
+    opacity = [Tile(OPACITY(first.reference_opacity))]
+    for evaluation in evaluations.values():
         row = evaluation.rows[0]
-        sheet.heading(column, label)
-        sheet.image(0, column, tonemap(row.baked, exposure))
-        sheet.image(1, column, grey(row.baked_opacity))
-        sheet.caption(0, column, f"psnr_linear {row.metrics['psnr_linear']:.2f} dB")
-        sheet.caption(1, column, f"opacity_rmse {row.metrics['opacity_rmse']:.3f}")
-    sheet.save(path)
+        psnr = f"psnr_linear {row.metrics['psnr_linear']:.2f} dB"
+        radiance.append(Tile(tonemap(row.baked, exposure), psnr))
+        rmse = f"opacity_rmse {row.metrics['opacity_rmse']:.3f}"
+        opacity.append(Tile(OPACITY(row.baked_opacity), rmse))
+    sheet = image_grid(
+        [radiance, opacity],
+        240,
+        title=f"{name}, {first.name}",
+        columns=["Reference", *evaluations],
+    )
+    path.write_bytes(sheet.png())
 
 
 def table(rows: list[dict[str, Any]]) -> Table:

@@ -7,6 +7,7 @@ import signal
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 from lumitree.core import progress
 from lumitree.core.extras import check_network
@@ -33,6 +34,10 @@ POSIX_TESTS = (
     "test_stops.py",
 )
 collect_ignore = list(POSIX_TESTS) if os.name == "nt" else []
+# How long an example takes depends on the machine.
+_UNTIMED = "without limits of time"
+settings.register_profile(_UNTIMED, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile(_UNTIMED)
 
 
 def skip_without_network():

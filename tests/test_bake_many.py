@@ -92,6 +92,7 @@ def test_lamps_are_baked_and_kept_while_source_and_settings_are_equal(folder, ba
 
 
 def test_one_failure_does_not_lose_the_others(folder, capsys):
+    (folder / "no.glb").write_bytes(b"no")
     assert main(["bake", "a.xml", "dark.xml", "no.glb", "-o", "out", *ARGUMENTS]) == 2
     captured = capsys.readouterr()
     assert "2 of 3 lamps failed (dark, no)" in captured.err
@@ -99,7 +100,7 @@ def test_one_failure_does_not_lose_the_others(folder, capsys):
     lines = captured.out.splitlines()
     assert re.search(r" a  baked, 57,\d{3} lm, 0\.\d MB, \d+ s", lines[0])
     assert "dark  failed: dark.xml holds no emitter" in lines[1]
-    assert "no  failed: no luminaire 'no.glb'" in lines[2]
+    assert "no  failed: no.glb is not a GLB file" in lines[2]
     assert sorted(path.name for path in (folder / "out").iterdir()) == [
         "a.lumitree", "index-files", "index.html",
     ]  # fmt: skip
@@ -335,6 +336,8 @@ def test_a_lamp_that_changed_since_it_was_interrupted_starts_again(folder, baked
 
 def test_names_and_arguments_are_checked_first(folder):
     (folder / "sub").mkdir()
+    for name in ("sub/A.obj", "bulbs.glb"):
+        (folder / name).touch()
     for names, message in (
         ([], "no luminaire"),
         (["a.xml", "sub/A.obj"], "a.xml and sub/A.obj would both be written to out/A.lumitree"),

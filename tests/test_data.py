@@ -90,6 +90,10 @@ def model_source(folder):
     return LuminaireSource(str(path), materials=str(overrides))
 
 
+REPEATED = pytest.mark.filterwarnings("ignore:.* faces repeat others")
+
+
+@REPEATED
 @pytest.mark.parametrize("folder", MODELS)
 def test_obj_models_are_repaired_as_by_hand(mi, folder):
     """Concave polygons, repeated bulbs and pieces wound inwards all come out right."""
@@ -101,6 +105,7 @@ def test_obj_models_are_repaired_as_by_hand(mi, folder):
         assert (len(meshes[name].faces), *count_solids(meshes[name])) == expected, name
 
 
+@REPEATED
 def test_obj_and_hand_made_scene_give_the_same_light(mi, tmp_path):
     from lumitree.lamp.loading import load_luminaire
     from lumitree.trace.capture import capture

@@ -56,8 +56,8 @@ def desk(
         `display_rmse`) against the reference, as the mean over independent images; and that of the
         reference by its own noise.
     """
+    from lumitree.core.drawing import write_strip
     from lumitree.core.photometry import LUMENS_PER_WATT, luminance
-    from lumitree.output.strip import write_strip
 
     lamps = {"explicit": source, "baked": asset}
     scenes = {name: _scene(scene, lamp) for name, lamp in lamps.items()}

@@ -252,7 +252,7 @@ def test_equal_assets_give_equal_bytes(with_light_field, tmp_path):
 
 
 @pytest.mark.parametrize("name", FILES)
-@settings(deadline=None, max_examples=150)
+@settings(max_examples=150)
 @given(data=st.data())
 def test_every_flipped_bit_is_noticed(request, tmp_path_factory, name, data):
     content = bytearray(request.getfixturevalue(name).read_bytes())

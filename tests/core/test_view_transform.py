@@ -7,7 +7,6 @@ from lumitree.core import view_transform
 from lumitree.core.images import auto_exposure, tonemap
 from lumitree.core.view_transform import check_view, displayed, room_exposure
 from lumitree.errors import LumitreeError
-from lumitree.rendering.luminance import luminance_png
 
 NEEDS_OPENCOLORIO = "the optional dependency filmic is not installed"
 
@@ -49,13 +48,6 @@ def test_pixels_that_are_no_numbers_do_not_count():
     # Another image can be shown alike.
     for level in (1e-30, 1e30):
         check_view("standard", room_exposure(np.full((8, 8, 3), level)))
-
-
-def test_luminances_that_are_no_numbers_are_shown_dark():
-    values = np.full((64, 64), 0.2)
-    expected = luminance_png(values)
-    values[10, 10] = np.nan
-    assert len(luminance_png(values)) > 0.8 * len(expected)
 
 
 def test_the_standard_view_is_clipped_srgb():

@@ -196,7 +196,7 @@ def lumitree_scene(described):
     """A scene as `render` loads it."""
     from lumitree.rendering.scene import load_room
 
-    return load_room(described)
+    return load_room(described)[0]
 
 
 @pytest.mark.parametrize("integrator", ["path", "volpath", "lumitree_path", "ptracer"])

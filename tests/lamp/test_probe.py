@@ -13,7 +13,7 @@ GREY = (
     '<boolean name="raw" value="true"/></texture>'
 )
 ATTRIBUTE = (
-    '<texture type="mesh_attribute" name="radiance"><string name="name" value="vertex_color"/>'
+    '<texture type="mesh_attribute" name="reflectance"><string name="name" value="vertex_color"/>'
     "</texture>"
 )
 CURVE = '<shape type="{}" id="wire"><string name="filename" value="curve.txt"/>' + AREA + "</shape>"
@@ -29,14 +29,6 @@ def coated(plugin, texture):
 
 
 FAULTY = {
-    "procedural radiance": (
-        [sphere("globe", 1, inside=emits(CHECKER.format("radiance")))],
-        "emitter of shape 'globe', area with checkerboard",
-    ),
-    "radiance of vertices": (
-        [cube("box", 1, inside=emits(ATTRIBUTE))],
-        "emitter of shape 'box', area with mesh_attribute",
-    ),
     "curve": ([CURVE.format("bsplinecurve")], "emitter of shape 'wire', area, "),
     "straight curve": ([CURVE.format("linearcurve")], "emitter of shape 'wire', area, "),
     "procedural bumps": (
@@ -90,19 +82,21 @@ def test_what_can_be_evaluated_is_accepted(folder):
         sphere("shade", 1, inside=coated("bumpmap", GREY.format("any"))),
         sphere("globe", 1, inside=f'<bsdf type="diffuse">{CHECKER.format("reflectance")}</bsdf>'),
         sphere("fibre", 1, inside='<bsdf type="hair"/>'),
+        sphere("pattern", 1, inside=emits(CHECKER.format("radiance"))),
     )
-    assert [shape.name for shape in lamp.shapes] == ["box", "shade", "globe", "fibre"]
+    names = ["box", "shade", "globe", "fibre", "pattern"]
+    assert [shape.name for shape in lamp.shapes] == names
 
 
 def test_scenes_and_dictionaries_are_tried_too(mi):
-    faulty = {
-        "type": "sphere",
-        "id": "globe",
-        "emitter": {"type": "area", "radiance": {"type": "checkerboard"}},
-    }
-    with pytest.raises(LumitreeError, match="'globe', area with checkerboard"):
+    bumps = {"type": "bumpmap", "t": {"type": "checkerboard"}, "b": {"type": "plastic"}}
+    faulty = {"type": "sphere", "id": "globe", "bsdf": bumps, "emitter": {"type": "area"}}
+    with pytest.raises(LumitreeError, match="'globe', bumpmap with checkerboard"):
         load_luminaire({"type": "scene", "globe": faulty})
-    made = mi.load_dict({"type": "scene", "globe": faulty})
+    pattern = {"type": "area", "radiance": {"type": "checkerboard"}}
+    made = mi.load_dict(
+        {"type": "scene", "globe": {**faulty, "bsdf": {"type": "diffuse"}, "emitter": pattern}}
+    )
     with pytest.raises(LumitreeError, match="scene: the emitter of shape 'globe', AreaLight"):
         load_luminaire(made)
 
@@ -137,9 +131,8 @@ def test_rooms_are_tried_too(folder, element, expected):
 
 
 def test_attributes_that_a_shape_lacks_are_named(folder):
-    colours = ATTRIBUTE.replace("radiance", "reflectance")
     with pytest.warns(LumitreeWarning, match="lamp: shape 'box' has no attribute 'vertex_color'"):
-        lamp_of(folder, BULB, cube("box", 1, inside=f'<bsdf type="diffuse">{colours}</bsdf>'))
+        lamp_of(folder, BULB, cube("box", 1, inside=f'<bsdf type="diffuse">{ATTRIBUTE}</bsdf>'))
 
 
 def test_an_area_emitter_of_a_room_that_emits_nothing_is_said(folder):

@@ -31,7 +31,7 @@ def check(mi, asset, origins, directions, tolerance=2e-4):
         assert radiance[i] == pytest.approx(expected, abs=tolerance * asset.max_radiance)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     seed=st.integers(0, 2**32 - 1),
     law=st.sampled_from(["linear", "exponential"]),
@@ -66,7 +66,7 @@ def test_random_rays_through_a_deep_tree(mi, seed, depth):
     check(mi, asset, origins.astype(float), directions.astype(float), 1.2e-3)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 2**32 - 1), axis=st.integers(0, 2), sign=st.sampled_from([-1.0, 1.0]))
 def test_axis_parallel_rays_on_cell_boundaries(mi, seed, axis, sign):
     random = np.random.default_rng(seed)
@@ -79,7 +79,7 @@ def test_axis_parallel_rays_on_cell_boundaries(mi, seed, axis, sign):
     check(mi, asset, origins, directions)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 2**32 - 1), tilt=st.sampled_from([1e-7, 1e-6, 1e-4, 1e-3]))
 def test_grazing_rays(mi, seed, tilt):
     random = np.random.default_rng(seed)

@@ -74,8 +74,8 @@ def add(commands: Any) -> None:
         metavar="LUMINAIRE",
         nargs="*",
         help=options.LUMINAIRE + "; or the folder of a dataset, or a photometric file (.ies, .ldt, "
-        ".gldf, .tm33, .ray, .tm25ray). Several are baked into a folder; @FILE stands for those "
-        "that a text file lists, one a line",
+        ".gldf, .tm33, .ray, .tm25ray). Several are baked into a folder, NAME=LUMINAIRE under that "
+        "name; @FILE stands for those that a text file lists, one a line",
     )
     options.add_reading(parser)
     parser.add_argument(
@@ -181,7 +181,7 @@ def run(args: argparse.Namespace) -> Any:
             f"the following arguments are required: {what}; see 'lumitree bake --help'"
         )
     settings = _settings(args)
-    luminaires = [options.luminaire(args, name) for name in _listed(args.luminaires)]
+    luminaires = [_luminaire(args, name) for name in _listed(args.luminaires)]
     if len(luminaires) != 1 or args.output.endswith(SEPARATORS):
         return _run_many(args, luminaires, settings)
     if args.task is not None:
@@ -190,6 +190,11 @@ def run(args: argparse.Namespace) -> Any:
             "after -o"
         )
     (luminaire,) = luminaires
+    if luminaire.title is not None:
+        raise LumitreeError(
+            f"{shown(luminaire.title, 60)}=: for several luminaires; leave it out, or give a "
+            "folder with / at its end after -o"
+        )
     if isinstance(settings.config, BakeConfig):
         _refuse_inapplicable(luminaire, settings)
     with options.executor(args) as executor:
@@ -348,6 +353,14 @@ def _run_many(args: argparse.Namespace, luminaires: list[Any], settings: _Settin
             task=args.task,
             variant=settings.variant,
         )
+
+
+def _luminaire(args: argparse.Namespace, text: str) -> Any:
+    """The `LuminaireSource` of LUMINAIRE or NAME=LUMINAIRE; a file may have such a name."""
+    title, equals, name = text.partition("=")
+    if not (title and equals and name) or os.path.exists(text) or os.path.basename(title) != title:
+        return options.luminaire(args, text)
+    return dataclasses.replace(options.luminaire(args, name), title=title)
 
 
 def _listed(names: list[str]) -> list[str]:

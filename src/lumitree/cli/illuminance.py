@@ -64,8 +64,9 @@ def _add_areas(parser: argparse.ArgumentParser) -> None:
         "--surface",
         action=_OfArea,
         metavar="ID",
-        help="id of a shape of the scene, over which points are spread; may be repeated, each with "
-        "its own --spacing",
+        help="shape of the scene over which points are spread: its id, the id of its BSDF, or its "
+        "number such as '#3'; * and ? stand for any characters. May be repeated, each with its own "
+        "--spacing",
     )
     parser.add_argument(
         "--normal",

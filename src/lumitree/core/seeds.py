@@ -22,7 +22,7 @@ class Purpose(enum.IntEnum):
 
     CAPTURE = 0  # images of a dataset; step: Halton index
     PREVIEW = 1  # images of a preview; step: view
-    FLUX = 2  # total flux; step: batch
+    FLUX = 2  # total flux; step: batch; draw 1: of the bare emitters, 2: light that is lost
     LONG_PATHS = 3  # flux of long paths; step: batch
     MAX_RADIANCE = 4  # paths that estimate L_max of a luminaire
     HELD_OUT = 5  # rays of the score

@@ -4,6 +4,7 @@ Error messages contain the name of the file and the key.
 """
 
 import math
+import re
 import reprlib
 import tomllib
 from collections.abc import Callable
@@ -15,6 +16,16 @@ from lumitree.core.text import in_utf8
 from lumitree.errors import LumitreeError, shown
 
 _MAX_BYTES = 2**20
+# tomllib takes time and memory in proportion to the square of the parts of a dotted key.
+_MAX_KEY_PARTS = 10
+_TEXT_OR_COMMENT = re.compile(
+    r"""
+    "{3} (?: [^"\\]++ | \\. | ""?(?!") )*+ "{3,5} | '{3} (?: [^']++ | ''?(?!') )*+ '{3,5}
+    | " (?: [^"\\\n]++ | \\. )*+ " | ' [^'\n]*+ ' | \# [^\n]*+
+    """,
+    re.DOTALL | re.VERBOSE,
+)
+_LONG_KEY = re.compile(rf"(?:\.[ \t]*+[\w-]++[ \t]*+){{{_MAX_KEY_PARTS}}}")
 _T = TypeVar("_T")
 
 
@@ -26,11 +37,18 @@ def read_toml(path: Path, expected: str) -> "Table":
         expected: kind of file that is expected, for the message.
 
     Raises:
-        LumitreeError: it is missing, too large, or not TOML in UTF-8.
+        LumitreeError: it is missing, larger than 1 MiB, or not TOML in UTF-8; or a key in it has
+            more than 10 parts.
     """
     data = read_bytes(path, expected, _MAX_BYTES)
     try:
-        table = tomllib.loads(in_utf8(data).decode("utf-8"))
+        content = in_utf8(data).decode("utf-8")
+        if _LONG_KEY.search(_TEXT_OR_COMMENT.sub("x", content)):
+            raise LumitreeError(
+                f"{shown(path, 300)} has a key of more than {_MAX_KEY_PARTS} parts joined by dots; "
+                "write a name that has dots in quotes"
+            )
+        table = tomllib.loads(content)
     except (ValueError, RecursionError) as error:
         raise LumitreeError(
             f"{shown(path, 300)} is not valid TOML in UTF-8: {shown(error, 200)}"

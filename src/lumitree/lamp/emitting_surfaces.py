@@ -89,7 +89,7 @@ class EmittingSurfaces:
         first = np.cumsum(counts) - counts
         self._shapes = mi.ShapePtr(list(shapes))
         self._emitters = mi.EmitterPtr([shape.emitter() for shape in shapes])
-        self._has_primitives = not all(shape.is_mesh() for shape in shapes)
+        self._primitives = frozenset(s.emitter().ptr for s in shapes if not s.is_mesh())
         self._count = parameter(mi.UInt32, float(len(area)))
         self._shape_of = on_device(mi.UInt32, shape_of)
         # Whether a triangle or primitive is one of a mesh, by the shape.
@@ -131,16 +131,31 @@ class EmittingSurfaces:
         pi.prim_uv = mi.warp.square_to_uniform_triangle(place)
         pi.t, pi.valid = mi.Float(1), mi.Bool(active)
         ray = mi.Ray3f(mi.Point3f(0), mi.Vector3f(0, 0, 1))
-        if self._has_primitives:
+        if self._primitives:
             emitter = dr.gather(mi.EmitterPtr, self._emitters, index, active)
             on_mesh = dr.gather(mi.Bool, self._is_mesh, index, active)
-            o, d, t, uv = dr.dispatch(emitter, _on_primitive, place, active & ~on_mesh)
+            o, d, t, uv = dr.dispatch(emitter, self._on_primitive, place, active & ~on_mesh)
             ray.o, ray.d = dr.select(on_mesh, ray.o, o), dr.select(on_mesh, ray.d, d)
             pi.t, pi.prim_uv = dr.select(on_mesh, pi.t, t), dr.select(on_mesh, pi.prim_uv, uv)
             pi.valid &= on_mesh | (t < dr.inf)
         si = pi.compute_surface_interaction(ray, mi.RayFlags.All, active)
         si.wi = si.to_local(si.n)
         return si, index
+
+    def _on_primitive(
+        self, emitter: mi.Emitter, place: mi.Point2f, active: mi.Bool
+    ) -> tuple[mi.Point3f, mi.Vector3f, mi.Float, mi.Point2f]:
+        """A ray that hits a sampled point of an emitter's primitive; its t and `prim_uv` there."""
+        # Dr.Jit records this for all emitters of the process, which may have any shape.
+        if emitter.ptr not in self._primitives:
+            return mi.Point3f(0), mi.Vector3f(0, 0, 1), mi.Float(dr.inf), mi.Point2f(0)
+        shape = emitter.get_shape()
+        point = shape.sample_position(0, place, active)
+        # From so near that no other part of the primitive is in between.
+        distance = dr.maximum(1e-3 * dr.sqrt(shape.surface_area()), 1e-6 * dr.max(dr.abs(point.p)))
+        ray = mi.Ray3f(point.p + distance * point.n, -mi.Vector3f(point.n))
+        pi = shape.ray_intersect_preliminary(ray, active=active)
+        return ray.o, ray.d, pi.t, pi.prim_uv
 
     def _mean_radiance(
         self, radiance: Callable[[mi.SurfaceInteraction3f, mi.UInt32], mi.Spectrum]
@@ -190,18 +205,3 @@ def _areas(shape: mi.Shape) -> NDArray[np.float64]:
     faces = np.array(shape.faces_buffer()).reshape(-1, 3)
     corners = np.array(shape.vertex_positions_buffer(), np.float64).reshape(-1, 3)[faces]
     return np.linalg.norm(np.cross(*np.moveaxis(corners[:, 1:] - corners[:, :1], 1, 0)), axis=1) / 2
-
-
-def _on_primitive(
-    emitter: mi.Emitter, place: mi.Point2f, active: mi.Bool
-) -> tuple[mi.Point3f, mi.Vector3f, mi.Float, mi.Point2f]:
-    """A ray that hits a sampled point of an emitter's primitive; its t and `prim_uv` there."""
-    shape = emitter.get_shape()
-    if shape is None or shape.is_mesh():
-        return mi.Point3f(0), mi.Vector3f(0, 0, 1), mi.Float(dr.inf), mi.Point2f(0)
-    point = shape.sample_position(0, place, active)
-    # From so near that no other part of the primitive is in between.
-    distance = dr.maximum(1e-3 * dr.sqrt(shape.surface_area()), 1e-6 * dr.max(dr.abs(point.p)))
-    ray = mi.Ray3f(point.p + distance * point.n, -mi.Vector3f(point.n))
-    pi = shape.ray_intersect_preliminary(ray, active=active)
-    return ray.o, ray.d, pi.t, pi.prim_uv

@@ -7,8 +7,16 @@ from pathlib import Path
 
 from lumitree.errors import LumitreeError
 from lumitree.lamp.builtin.registry import BUILTIN
-from lumitree.lamp.importers.overrides import Overrides, apply_overrides, check_emits, select_parts
+from lumitree.lamp.importers.likely_faults import warn_of_likely_faults
+from lumitree.lamp.importers.overrides import (
+    Overrides,
+    apply_overrides,
+    check_emits,
+    select_parts,
+    sided_materials,
+)
 from lumitree.lamp.importers.overrides_file import read_overrides
+from lumitree.lamp.importers.repeated_faces import without_repeated
 from lumitree.lamp.parts import Geometry
 from lumitree.lamp.source import LuminaireSource, as_source
 
@@ -30,9 +38,11 @@ def read_model(source: str | os.PathLike[str] | LuminaireSource) -> Geometry:
     overrides = read_overrides(chosen) if chosen is not None else Overrides()
     model = READERS[path.suffix.lower()](path, overrides)
     model = select_parts(model, source.keep, source.drop, str(path))
+    model = without_repeated(model, sided_materials(model, overrides), str(path))
+    toml = (chosen or path.with_suffix(".toml")).name
+    warn_of_likely_faults(model, overrides, str(path), toml)
     model = apply_overrides(model, overrides)
-    named = chosen or path.with_suffix(".toml")
-    check_emits(model, str(path), named.name)
+    check_emits(model, str(path), toml)
     return model
 
 

@@ -5,6 +5,7 @@ radiance is in W/(m² sr) for each of R, G and B (linear sRGB primaries).
 """
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
@@ -190,6 +191,13 @@ class Part:
     places: tuple[Floats, ...] = (np.eye(4),)
     objects: tuple[str, ...] = ()
     in_metres: bool = False
+
+    def copies(self, index: Sequence[int]) -> "Part":
+        """The part with some of its copies."""
+        places, objects = (
+            tuple(each[i] for i in index if each) for each in (self.places, self.objects)
+        )
+        return dataclasses.replace(self, places=places, objects=objects)
 
 
 def check_shapes(count: int, where: str) -> None:

@@ -20,11 +20,11 @@ from lumitree.errors import LumitreeError, renderer_reason, shown
 from lumitree.lamp.blackbodies import replace_blackbodies
 from lumitree.lamp.exr_files import check_exr_file
 from lumitree.lamp.importers.model_folder import MAX_MODEL_BYTES
-from lumitree.lamp.importers.overrides import select_names
 from lumitree.lamp.media import keep_clear_channels
 from lumitree.lamp.mesh_files import check_mesh_file
+from lumitree.lamp.names import select_names
 from lumitree.lamp.scene_instances import copy_instances, matrix_of, referred
-from lumitree.lamp.scene_shapes import SceneShape, shape_of_node
+from lumitree.lamp.scene_shapes import CHOSEN_BY, SceneShape, shape_of_node
 from lumitree.lamp.spectra import spectra_of_emitters
 
 # Largest nesting depths; in a luminaire's file they are about 8 and 6.
@@ -32,7 +32,6 @@ _MAX_ELEMENTS, _MAX_OBJECTS = 64, 16
 # Parameters of which a plugin needs one: without them Mitsuba 3.9 ends the process.
 _NEEDED = {"bitmap": ("filename", "bitmap", "data"), "blendbsdf": ("weight",)}
 # What patterns are compared with, for messages.
-_CHOSEN_BY = "shape's id, BSDF's id or number"
 
 
 class SceneFile:
@@ -182,8 +181,8 @@ class SceneFile:
         root = self._state.nodes[0].props
         children = self.children(root)
         shapes = list(self._shapes.values())
-        names = [(shape.name, *shape.materials) for shape in shapes]
-        chosen = select_names(names, keep, drop, self._name, _CHOSEN_BY, list(map(str, shapes)))
+        names = [shape.names for shape in shapes]
+        chosen = select_names(names, keep, drop, self._name, CHOSEN_BY, list(map(str, shapes)))
         kept = {key for key, wanted in zip(self._shapes, chosen, strict=True) if wanted}
         groups = {key for key, node in children.items() if self._is_group(node)}
         if not keep:
@@ -379,10 +378,10 @@ class SceneFile:
         replace_textured_areas(state)
         with self._searching(), self._readable(), second_thread():
             scene = mi.parser.instantiate(self._config, state)
-        if not isinstance(scene, mi.Scene):
-            raise LumitreeError(f"{self._name} does not hold a <scene>; found {type(scene)}")
+            if not isinstance(scene, mi.Scene):
+                raise LumitreeError(f"{self._name} does not hold a <scene>; found {type(scene)}")
+            complete_textured_areas(scene)
         transforms_as_parameters(scene.shapes())
-        complete_textured_areas(scene)
         if has_media:
             keep_clear_channels(scene)
         return scene

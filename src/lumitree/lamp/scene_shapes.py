@@ -11,6 +11,8 @@ from lumitree.errors import shown
 _UNNAMED = "_arg_"
 # Class of Mitsuba that holds the shapes which instances repeat. `Scene.shapes` leaves it out.
 _GROUP = "ShapeGroupPlugin"
+# How a shape is chosen, for messages; see `SceneShape.names`.
+CHOSEN_BY = "shape's id, BSDF's id or number"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,6 +46,11 @@ class SceneShape:
         emits = ", emits" if self.emitter else ""
         number = "" if self.number is None else f"#{self.number} "
         return f"{number}{shown(self.name, 40) or '-'} ({self.kind}{material}{emits})"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names by which it is chosen."""
+        return (self.name, *self.materials)
 
     @property
     def label(self) -> str:

@@ -118,7 +118,7 @@ class _Writer:
         if not (isinstance(material.opacity, float | int) and material.opacity == 1):
             parent, name = SubElement(parent, "bsdf", {"type": "mask", **name}), {}
             self._value(parent, "opacity", material.opacity)
-        if material.two_sided and not _transmits(material.surface):
+        if material.two_sided and not transmits(material.surface):
             parent, name = SubElement(parent, "bsdf", {"type": "twosided", **name}), {}
         if material.normal_map is not None:
             parent, name = SubElement(parent, "bsdf", {"type": "normalmap", **name}), {}
@@ -262,7 +262,8 @@ def _reference(material: Material) -> str:
     return _PREFIX + material.name.replace("$", "%24")
 
 
-def _transmits(surface: Surface) -> bool:
+def transmits(surface: Surface) -> bool:
+    """Whether light crosses a surface, so that its BSDF defines both sides."""
     if isinstance(surface, Principled):
         see_through = isinstance(surface.transmission, Texture) or surface.transmission > 0
         return surface.thin or see_through

@@ -34,17 +34,26 @@ class LuminaireSource:
             BSDFs, or numbers of shapes such as "#3", in a Mitsuba scene; or names of parts or
             materials in a model; empty for everything.
         drop: patterns of what does not belong to the luminaire.
+        title: its name, and the name of its files, in a list of luminaires. Default: the name of
+            the file without its ending, or the built-in name.
 
     Raises:
-        LumitreeError: the patterns are no texts, or a single one.
+        LumitreeError: the patterns are no texts, or a single one; or the title is no name of a
+            file.
     """
 
     name: str
     materials: str | None = None
     keep: Sequence[str] = ()
     drop: Sequence[str] = ()
+    title: str | None = None
 
     def __post_init__(self) -> None:
+        title = self.title
+        if title is not None and not (
+            title.isprintable() and title.strip(".") and title == Path(title).name
+        ):
+            raise LumitreeError(f"title is {shown(repr(title), 60)}; expected the name of a file")
         for name in ("keep", "drop"):
             patterns = getattr(self, name)
             if isinstance(patterns, str) or not all(isinstance(each, str) for each in patterns):

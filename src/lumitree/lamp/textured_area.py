@@ -53,6 +53,8 @@ def _emitter_class() -> type:
         def __init__(self, props: mi.Properties) -> None:
             super().__init__(props)
             self._radiance = props.get_emissive_texture("radiance")
+            # Without, as in a scene that could not be created, nothing is sampled.
+            self._surfaces: EmittingSurfaces | None = None
             self.m_flags = mi.EmitterFlags.Surface | mi.EmitterFlags.SpatiallyVarying
 
         def complete(self, shape: mi.Shape) -> None:
@@ -63,6 +65,8 @@ def _emitter_class() -> type:
             return dr.select(front, self._radiance.eval(si, active & front), 0)
 
         def sample_direction(self, it, sample, active=True):
+            if self._surfaces is None:
+                return dr.zeros(mi.DirectionSample3f), mi.Spectrum(0)
             point = self._surfaces.sample(sample, active)
             ds, pdf = point.towards(it)
             weight = dr.select(pdf > 0, self.eval(point.si, active) / pdf, 0)
@@ -87,6 +91,8 @@ def _emitter_class() -> type:
             )
 
         def sample_ray(self, time, sample1, sample2, sample3, active=True):
+            if self._surfaces is None:
+                return dr.zeros(mi.Ray3f), mi.Spectrum(0)
             point = self._surfaces.sample(sample2, active)
             si, local = point.si, mi.warp.square_to_cosine_hemisphere(sample3)
             si.wi, si.time = local, time

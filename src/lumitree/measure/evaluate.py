@@ -127,11 +127,10 @@ def evaluate(
     check_irradiance_paths(irradiance_paths)
     check_image_settings(resolution=resolution, spp=samples_per_pixel)
     mi = load_rgb(variant)
+    from lumitree.measure.figures import draw_irradiance, draw_sheet
     from lumitree.measure.flux_check import check_flux
     from lumitree.measure.irradiance import evaluate_irradiance
-    from lumitree.measure.irradiance_figure import draw_irradiance
     from lumitree.measure.view_errors import evaluate_views
-    from lumitree.output.sheet import draw_sheet
 
     path = None if isinstance(asset, Asset) else asset
     baked = open_asset(asset)
@@ -235,8 +234,8 @@ def compare_assets(
     Raises:
         LumitreeError: the bounding boxes have different sizes, or there are 0 paths.
     """
+    from lumitree.measure.figures import draw_irradiance
     from lumitree.measure.irradiance import evaluate_irradiance
-    from lumitree.measure.irradiance_figure import draw_irradiance
 
     if irradiance_paths == 0:
         raise LumitreeError(

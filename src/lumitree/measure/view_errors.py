@@ -12,13 +12,13 @@ from lumitree.core.dataset import Dataset, Frame, OpacityKind
 from lumitree.core.frames import LocalFrame
 from lumitree.core.progress import progress
 from lumitree.errors import LumitreeError, shown
+from lumitree.measure.figures import MAX_ROWS, SheetRow
 from lumitree.measure.metrics import (
     flux_error,
     gain_over_black,
     mean_metrics,
     view_metrics,
 )
-from lumitree.output.sheet import MAX_ROWS, SheetRow
 from lumitree.rendering.asset_images import geometry_camera
 from lumitree.rendering.asset_views import baked_view
 

@@ -1,4 +1,4 @@
-"""What is looked at elsewhere: sheets, the viewer, lamps for other programs.
+"""What is looked at elsewhere: previews, the viewer, lamps for other programs.
 
 `targets` has one module for each program. They share `point_lights`, which clusters a light field,
 `ies_profiles`, profiles of lights, and `pbr`, which converts materials to metalness and roughness.

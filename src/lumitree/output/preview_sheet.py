@@ -4,17 +4,18 @@ import dataclasses
 import math
 import time
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
 from lumitree.core.directions import pose_towards
+from lumitree.core.drawing import OPACITY, Sheet, Tile, image_grid
 from lumitree.core.images import auto_exposure, tonemap
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.lamp.luminaire import Luminaire
-from lumitree.output.tiles import DARK, Layout, TileSheet, grey
 from lumitree.rendering.asset_images import shown_images
 from lumitree.rendering.studio import asset_photographs, luminaire_photographs
 from lumitree.trace.cameras import Camera, ViewImages
@@ -29,9 +30,9 @@ VIEWS = {
     "from above, +y": ((0, 1, 0), (0, 0, -1)),
     "from below, -y": ((0, -1, 0), (0, 0, 1)),
 }
-NUM_ROWS = 5
 _MIN_STOPS = 2
-_MIN_TILE, _MAX_TILE = 192, 640
+# Limits of the side of an image on the sheet, pixels.
+_MIN_SIDE, _MAX_SIDE = 192, 640
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,7 +52,7 @@ class Preview:
     @property
     def radiance(self) -> NDArray[np.float32]:
         """Radiance [6, H, W, 3] of all images, W/(m² sr)."""
-        return _all_radiance(self.images)
+        return np.stack([image.radiance for image in self.images.values()])
 
     @property
     def exposure(self) -> float:
@@ -92,9 +93,11 @@ def take_preview(luminaire: Luminaire, resolution: int, samples_per_pixel: int) 
             advance(1)
     # The first view is not counted, because its time includes compilation.
     paths = resolution**2 * samples_per_pixel * (len(VIEWS) - 1)
-    exposure = auto_exposure(_all_radiance(images))
-    photographs = luminaire_photographs(luminaire, poses, resolution, samples_per_pixel, exposure)
-    return Preview(images, photographs, paths / sum(seconds[1:]))
+    preview = Preview(images, [], paths / sum(seconds[1:]))
+    photographs = luminaire_photographs(
+        luminaire, poses, resolution, samples_per_pixel, preview.exposure
+    )
+    return dataclasses.replace(preview, photographs=photographs)
 
 
 def take_asset_preview(asset: Asset, resolution: int, samples_per_pixel: int) -> Preview:
@@ -113,9 +116,11 @@ def take_asset_preview(asset: Asset, resolution: int, samples_per_pixel: int) ->
         name: ViewImages(radiance, opacity, opacity)
         for name, (radiance, opacity) in zip(VIEWS, shown, strict=True)
     }
-    exposure = auto_exposure(_all_radiance(images))
-    photographs = asset_photographs(asset, poses, radius, resolution, samples_per_pixel, exposure)
-    return Preview(images, photographs, 0.0)
+    preview = Preview(images, [], 0.0)
+    photographs = asset_photographs(
+        asset, poses, radius, resolution, samples_per_pixel, preview.exposure
+    )
+    return dataclasses.replace(preview, photographs=photographs)
 
 
 def _poses(radius: float) -> list[NDArray[np.float64]]:
@@ -123,19 +128,9 @@ def _poses(radius: float) -> list[NDArray[np.float64]]:
     return [pose_towards(backward, up, 2 * radius) for backward, up in VIEWS.values()]
 
 
-def _all_radiance(images: dict[str, ViewImages]) -> NDArray[np.float32]:
-    return np.stack([image.radiance for image in images.values()])
-
-
-def preview_layout(resolution: int, rows: int = NUM_ROWS) -> Layout:
-    """Layout of a preview. Tiles have the size of the images, within limits."""
-    tile = min(max(resolution, _MIN_TILE), _MAX_TILE)
-    return Layout(len(VIEWS), rows, tile, title=60, caption=6, side=30)
-
-
 def draw_preview(
     preview: Preview, title: str, facts: Sequence[str], *, baked: bool = False
-) -> TileSheet:
+) -> Sheet:
     """Contact sheet with a column for each view.
 
     Rows: the lamp in soft light, its own radiance at two exposures, geometric opacity and
@@ -147,28 +142,21 @@ def draw_preview(
         facts: short texts for the line below the title.
         baked: whether the preview is that of an asset.
     """
-    exposure, stops = preview.exposure, preview.more_stops
-    opacities = (
-        ("geometric opacity", lambda image: grey(image.geometric)),
-        ("straight-through opacity", lambda image: grey(image.straight_through)),
+    exposure, stops, views = preview.exposure, preview.more_stops, preview.images.values()
+    bright = exposure * 2**stops
+    rows: dict[str, Sequence[NDArray[Any]]] = {
+        "in soft light": preview.photographs,
+        "radiance": [tonemap(view.radiance, exposure) for view in views],
+        f"radiance, {stops} stops brighter": [tonemap(view.radiance, bright) for view in views],
+        "opacity" if baked else "geometric opacity": [OPACITY(view.geometric) for view in views],
+    }
+    if not baked:
+        rows["straight-through opacity"] = [OPACITY(view.straight_through) for view in views]
+    return image_grid(
+        [[Tile(image) for image in row] for row in rows.values()],
+        min(max(preview.radiance.shape[1], _MIN_SIDE), _MAX_SIDE),
+        title=title,
+        subtitle="   ·   ".join([*facts, f"exposure {exposure:.3g} in all views"]),
+        columns=list(preview.images),
+        names=list(rows),
     )
-    rows = (
-        ("radiance", lambda image: tonemap(image.radiance, exposure)),
-        (
-            f"radiance, {stops} stops brighter",
-            lambda image: tonemap(image.radiance, exposure * 2**stops),
-        ),
-        *((("opacity", opacities[0][1]),) if baked else opacities),
-    )
-    sheet = TileSheet(preview_layout(preview.radiance.shape[1], 1 + len(rows)), DARK)
-    sheet.title(title, "   ·   ".join([*facts, f"exposure {exposure:.3g} in all views"]))
-    for column, name in enumerate(preview.images):
-        sheet.heading(column, name)
-    sheet.row_name(0, "in soft light")
-    for column, photograph in enumerate(preview.photographs):
-        sheet.image(0, column, photograph)
-    for row, (name, show) in enumerate(rows, 1):
-        sheet.row_name(row, name)
-        for column, image in enumerate(preview.images.values()):
-            sheet.image(row, column, show(image))
-    return sheet

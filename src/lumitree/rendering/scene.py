@@ -20,7 +20,7 @@ from lumitree.lamp.luminaire import Luminaire, LuminaireLike
 from lumitree.lamp.media import any_heterogeneous
 from lumitree.lamp.probe import check_evaluates
 from lumitree.lamp.scene_file import SceneFile
-from lumitree.lamp.scene_shapes import SceneShape, reusable_shapes
+from lumitree.lamp.scene_shapes import SceneShape, reusable_shapes, shapes_of_scene
 from lumitree.lamp.source import LuminaireSource, source_kind
 from lumitree.octree.field import EXACT, Field, Thresholds
 from lumitree.rendering.asset_cache import open_field
@@ -258,7 +258,7 @@ def load_scene(
             stores no R, G and B.
     """
     title = scene_title(source)
-    scene, described = _open(source, title, box_filter=box_filter)
+    scene, described, _ = _open(source, title, box_filter=box_filter)
     sensors = scene.sensors()
     if not sensors:
         raise LumitreeError(f"{title} has no sensor; add a camera to the scene")
@@ -299,22 +299,23 @@ def _check_rgb(film: mi.Film, title: str) -> None:
     )
 
 
-def load_room(source: Any) -> mi.Scene:
-    """The objects and emitters of a scene, as `load_scene`; it needs no camera."""
-    return _open(source, scene_title(source))[0]
+def load_room(source: Any) -> tuple[mi.Scene, Sequence[SceneShape]]:
+    """A scene, as of `load_scene`, but it needs no camera; and its shapes as the file has them."""
+    scene, _, shapes = _open(source, scene_title(source))
+    return scene, shapes_of_scene(scene, shapes)
 
 
 def _open(
     source: Any, title: str, *, box_filter: bool = False
-) -> tuple[mi.Scene, mi.Properties | None]:
-    """Scene, and properties of its integrator, if they are known."""
+) -> tuple[mi.Scene, mi.Properties | None, Sequence[SceneShape]]:
+    """Scene, and, if they are known, properties of its integrator and its shapes."""
     register()  # the scene may name our plugins itself
     if isinstance(source, mi.Scene):
         scene, described, shapes = source, None, ()
     else:
         scene, described, shapes = _create(source, title, box_filter=box_filter)
     check_evaluates(scene, shapes, title, rays=False)
-    return scene, described
+    return scene, described, shapes
 
 
 def scene_title(source: Any) -> str:

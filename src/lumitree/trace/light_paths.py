@@ -117,7 +117,7 @@ def emitted_flux(luminaire: Luminaire, sampler: Any, count: int) -> tuple[Any, A
         emitters; and mi.UInt32, the path's emitter as its index in the scene.
     """
     extent = scene_extent(luminaire.scene)
-    _, flux, emitter = _emit(luminaire.emitting_surfaces, sampler, extent)
+    _, flux, emitter = emit(luminaire.emitting_surfaces, sampler, extent)
     return flux * dr.opaque(mi.Float, 1 / (count * luminaire.frame.scale**2)), emitter
 
 
@@ -138,7 +138,7 @@ def _shading_correction(si, bsdf, sample, arriving, leaving):
 def _trace(luminaire, sampler, path_depth, reservoir, largest_gain):
     scene, context = luminaire.scene, mi.BSDFContext(mi.TransportMode.Importance)
     extent, box = scene_extent(scene), scene_box(scene)
-    ray, light = _emit(luminaire.emitting_surfaces, sampler, extent)[:2]
+    ray, light = emit(luminaire.emitting_surfaces, sampler, extent)[:2]
     flux = mi.Color3f(light)
     # Flux without a limit over flux with it.
     cut = mi.Float(1)
@@ -217,7 +217,7 @@ def _trace(luminaire, sampler, path_depth, reservoir, largest_gain):
     return ray.o, ray.d, flux, cut, termination, leaves, smooth, reservoir
 
 
-def _emit(surfaces, sampler, extent):
+def emit(surfaces, sampler, extent):
     """Rays of light paths that start; their flux (mi.Color3f), world units; and their emitters.
 
     Directions are sampled about the true normal, not the interpolated one: the ratio of both

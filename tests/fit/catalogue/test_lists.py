@@ -213,6 +213,43 @@ def test_options_for_lists_are_refused_for_one_lamp(capsys):
     assert "none.txt does not exist; expected a list of luminaires" in capsys.readouterr().err
 
 
+def test_missing_files_are_named_before_the_start(folder, capsys):
+    """All in one line, also files of overrides and unknown built-in names."""
+    names = ["a.xml", "none.glb", "bulbs", "bulbz", "sub/two.gldf#x", "none.glb"]
+    with pytest.raises(lumitree.LumitreeError, match=r"^3 of 4 files are missing") as error:
+        bake(names)
+    assert str(error.value).endswith(": none.glb, bulbz, sub/two.gldf")
+    (folder / "lamps.txt").write_text("a.xml\nnone.xml\nhall=never.obj\n")
+    assert main(["bake", "@lamps.txt", "b.xml", "-o", "out/", "--materials", "m.toml"]) == 2
+    assert "3 of 5 files are missing: none.xml, never.obj, m.toml" in capsys.readouterr().err
+    assert not (folder / "out").exists()
+
+
+def test_a_lamp_may_have_another_name(folder, capsys):
+    (folder / "x=y.xml").write_text((folder / "c.xml").read_text())
+    (folder / "lamps.txt").write_text("desk=a.xml\nx=y.xml\n")
+    names = ["hall 2=a.xml", "b.xml", "@lamps.txt", "spot=bulbs"]
+    assert main(["bake", *names, "-o", "out/", *ARGUMENTS]) == 0
+    assert sorted(contents("out")) == [
+        f"{name}.lumitree" for name in ("b", "desk", "hall 2", "spot", "x=y")
+    ]
+    source = LuminaireSource("a.xml", title="hall 2")
+    assert states(bake([source])) == [("hall 2", "kept")]
+    capsys.readouterr()
+    for arguments, message in (
+        (
+            ["h=a.xml", "H=b.xml", "-o", "out/"],
+            "both be written to out/H.lumitree; give one",
+        ),
+        (["h=a.xml", "-o", "h.lumitree"], "h=: for several luminaires; leave it out"),
+    ):
+        assert main(["bake", *arguments]) == 2
+        assert message in capsys.readouterr().err
+    for title in ("", "..", "a/b", "/", "a\n"):
+        with pytest.raises(lumitree.LumitreeError, match="; expected the name of a file"):
+            LuminaireSource("a.xml", title=title)
+
+
 def test_long_lists_are_printed_in_short(capsys):
     figures = {"lumens": 1.0, "file_bytes": 1 << 20}
     lamps = [BakedLamp(f"l{number}", "", "kept", figures=figures) for number in range(100)]

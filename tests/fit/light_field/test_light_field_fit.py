@@ -224,7 +224,7 @@ def test_the_flux_does_not_depend_on_the_batches(ball, tmp_path, batch):
 
 def test_a_luminaire_without_light_is_refused(mi, tmp_path):
     lamp = lamp_of(tmp_path, sphere("bulb", 0.2, inside=AREA), cube("shell", 1, inside=BLACK))
-    message = r"^no light leaves .*lamp; look for emitters"
+    message = r"^no light leaves .*lamp: it ends on 'shell' \(diffuse\); leave an opening"
     with pytest.raises(lumitree.LumitreeError, match=message) as caught:
         bake_light_field(lamp, CONFIG, tmp_path)
     assert str(caught.value).isprintable()

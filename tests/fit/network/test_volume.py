@@ -21,7 +21,7 @@ distances = jax.jit(volume.distances)
 
 
 @pytest.mark.parametrize("law", LAWS)
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     density=arrays(np.float32, (NUM_RAYS, NUM_INTERVALS), elements=st.floats(0, 100, width=32)),
     widths=arrays(np.float32, (NUM_RAYS, NUM_INTERVALS), elements=st.floats(0, 0.5, width=32)),

@@ -220,7 +220,7 @@ def test_wrong_files(parsed, text, message):
     assert len(str(caught.value)) < 400
 
 
-@settings(deadline=None, max_examples=150)
+@settings(max_examples=150)
 @given(st.lists(st.sampled_from(LINES), max_size=12))
 @pytest.mark.filterwarnings("ignore::lumitree.errors.LumitreeWarning")
 def test_any_lines_are_read_or_refused(tmp_path_factory, lines):

@@ -90,7 +90,8 @@ def test_part_names_are_fit_for_files_and_distinct(model):
 def test_repeated_faces_go_and_pieces_face_outwards(model):
     ball = trimesh.creation.icosphere(subdivisions=2)
     text = "s 1\n" + obj_text(ball, "a", flip=True) + obj_text(ball, "a", len(ball.vertices))
-    mesh = model(text, "newmtl a\nKd 1 1 1").parts[0].mesh
+    with pytest.warns(LumitreeWarning, match=r"lamp.obj: 320 faces repeat others of the same mat"):
+        mesh = model(text, "newmtl a\nKd 1 1 1").parts[0].mesh
     assert len(mesh.faces) == len(ball.faces)
     assert trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).volume > 4
     np.testing.assert_allclose(mesh.normals, mesh.vertices, atol=0.02)
@@ -114,6 +115,7 @@ WINDINGS = ["f 1/1 2/2 3/3 4/4\nf 4/4 3/3 2/2 1/1", "f 1 2 3\nf 1 3 4\nf 3 2 1\n
 
 
 @pytest.mark.parametrize("faces", [*WINDINGS, "f 1 2 3 4\nf 3 2 1 4\nf 2 3 4 1\nf 2 1 4 3"])
+@pytest.mark.filterwarnings("ignore:.* faces repeat others")
 def test_both_sides_emit_where_a_face_has_both_windings(mi, model, tmp_path, faces):
     """A ray from either side meets a face that emits towards it."""
     from lumitree.lamp.scene_writer import write_scene
@@ -130,6 +132,7 @@ def test_both_sides_emit_where_a_face_has_both_windings(mi, model, tmp_path, fac
         np.testing.assert_allclose(radiance, [[3, 2, 1]] * 64, rtol=1e-6)
 
 
+@pytest.mark.filterwarnings("ignore:.* faces repeat others")
 def test_copies_of_one_winding_emit_once_and_others_reflect_once(model):
     twice = QUAD + "usemtl a\nf 1 2 3 4\nf 2 3 4 1"
     assert len(model(twice, "newmtl a\nKe 1 1 1").parts[0].mesh.faces) == 2
@@ -137,6 +140,7 @@ def test_copies_of_one_winding_emit_once_and_others_reflect_once(model):
     assert len(model(both, "newmtl a\nKd 1 1 1").parts[0].mesh.faces) == 2
 
 
+@pytest.mark.filterwarnings("ignore:.* faces repeat others")
 def test_a_face_in_both_windings_emits_to_both_sides_if_it_will_emit(model, tmp_path):
     """As where a file of overrides makes it emit."""
     model(QUAD + "usemtl a\nf 1 2 3 4\nf 4 3 2 1", "newmtl a\nKd 1 1 1")
@@ -216,6 +220,7 @@ def test_text_of_materials_in_any_encoding(model, tmp_path):
         assert lamp.materials[0].surface == Diffuse((0.5, 0.25, 1))
 
 
+@pytest.mark.filterwarnings("ignore:.* faces repeat others")
 def test_a_copy_rounded_differently_is_still_a_copy(model):
     ball = trimesh.creation.icosphere(subdivisions=2)
     copy = trimesh.Trimesh(ball.vertices + 3e-6, ball.faces, process=False)

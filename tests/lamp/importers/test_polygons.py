@@ -89,7 +89,7 @@ def test_outline_with_a_hole_cut_to():
     check([[0, 0], [4, 0], [4, 4], [0, 4], [0, 0], *hole, hole[0]])
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(st.integers(4, 40), st.integers(0, 10_000))
 def test_any_star_shaped_polygon(corners, seed):
     rng = np.random.default_rng(seed)
@@ -107,7 +107,7 @@ def test_crossing_and_empty_polygons_still_end():
         outlined(triangulate(flat[None])[0], 6)
 
 
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 @given(st.integers(4, 24), st.integers(2, 6), st.integers(0, 10_000))
 def test_any_corners_keep_their_outline(corners, side, seed):
     """On a coarse grid, where edges cross, overlap, and meet in points."""

@@ -48,7 +48,7 @@ def test_wrong_planes_are_refused(arguments, message):
 )
 def test_points_of_other_shapes_are_refused(points, shape):
     with pytest.raises(lumitree.LumitreeError, match=f"have the shapes {shape} and"):
-        areas.collect(None, (), (), points, [0, 1, 0], 0)
+        areas.collect((), (), (), points, [0, 1, 0], 0)
 
 
 def test_points_are_read_by_the_names_of_columns(tmp_path):

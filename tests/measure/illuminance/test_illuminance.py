@@ -91,7 +91,7 @@ def received(mi, things, placements, points, normals, samples=1 << 15):
     from lumitree.measure.illuminance.received import received_irradiance
     from lumitree.rendering.scene import load_room, open_placements, place_luminaires
 
-    scene = place_luminaires(load_room(room(mi, **things)), open_placements(placements))
+    scene = place_luminaires(load_room(room(mi, **things))[0], open_placements(placements))
     normals = np.broadcast_to(normals, np.shape(points))
     found = [
         luminance(received_irradiance(scene, points, normals, samples, seed)) for seed in range(8)
@@ -276,8 +276,42 @@ def test_surfaces_of_a_scene_are_covered_evenly(mi):
     # At random they would spread by 5.
     assert counts == pytest.approx(25, abs=6)
     assert counts.std() < 4.5
-    with pytest.raises(lumitree.LumitreeError, match=r"no shape 'chair'; its shapes are: .*desk"):
-        lumitree.illuminance(scene, surfaces=[lumitree.Surface("chair")])
+
+
+ROOM = """<scene version="3.0.0"><bsdf type="diffuse" id="wood"/>
+<shape type="rectangle"><ref id="wood"/></shape>
+<shape type="disk"><ref id="wood"/>
+<transform name="to_world"><translate z="2"/></transform></shape>
+<shape type="sphere" id="lamp"><point name="center" value="0,0,5"/><emitter type="area"/></shape>
+<shape type="shapegroup" id="group"><shape type="rectangle"/></shape>
+<shape type="instance"><ref id="group"/></shape></scene>"""
+
+
+@pytest.mark.parametrize(
+    ("pattern", "heights", "count"),
+    [("#0", {0}, 100), ("#1", {2}, 79), ("wood", {0, 2}, 179), ("w?*d", {0, 2}, 179)],
+)
+def test_surfaces_of_shapes_without_ids(mi, tmp_path, pattern, heights, count):
+    """By number and by the id of the BSDF, as --keep of other commands."""
+    path = tmp_path / "room.xml"
+    path.write_text(ROOM)
+    surface = lumitree.Surface(pattern, 0.2)
+    result = lumitree.illuminance(path, surfaces=[surface], error=EVERYTHING, direct_only=True)
+    assert [area.count for area in result.areas] == [count]
+    assert set(result.position[:, 2].round(5)) == heights
+
+
+def test_shapes_that_are_no_surfaces(mi, tmp_path):
+    path = tmp_path / "room.xml"
+    path.write_text(ROOM)
+    match = (
+        r"room\.xml: --surface 'chair' matches no shape's id, BSDF's id or number; there are "
+        r"#0 - \(rectangle, BSDF wood\), #1 - \(disk, BSDF wood\), #2 lamp \(sphere, emits\), "
+    )
+    with pytest.raises(lumitree.LumitreeError, match=match):
+        lumitree.illuminance(path, surfaces=[lumitree.Surface("chair")])
+    with pytest.raises(lumitree.LumitreeError, match=r"#3 .* is an instance, over which no points"):
+        lumitree.illuminance(path, surfaces=[lumitree.Surface("#3")])
 
 
 @pytest.mark.parametrize(

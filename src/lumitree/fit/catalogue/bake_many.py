@@ -46,9 +46,10 @@ def bake_many(
 ) -> BakeManyResult:
     """Bake luminaires into a folder, with an index page.
 
-    The asset of a lamp is NAME.lumitree; NAME is the file name without its ending, or the built-in
-    name. `index.html` shows all lamps of the folder, 200 a page. It is written every few seconds,
-    and at the end. The folder `index-files` within has a thumbnail and a record of each bake.
+    The asset of a lamp is NAME.lumitree; NAME is the `title` of its `LuminaireSource`, or else the
+    file name without its ending, or the built-in name. `index.html` shows all lamps of the folder,
+    200 a page. It is written every few seconds, and at the end. The folder `index-files` within has
+    a thumbnail and a record of each bake.
 
     The same call continues where an earlier one was interrupted. It keeps lamps whose luminaire
     and settings are those of the record, continues the interrupted one, and tries those again that
@@ -77,7 +78,8 @@ def bake_many(
         What became of each lamp (`lamps`), and the path of the index page (`index`).
 
     Raises:
-        LumitreeError: there is no luminaire, or two have one name; the folder cannot be written,
+        LumitreeError: there is no luminaire, two have one name, or files are missing, all of which
+            the message names; the folder cannot be written,
             holds an `index.html` that is not lumitree's, or is of a later version; or a worker
             was lost.
 
@@ -243,15 +245,24 @@ def _named(sources: Sequence[LuminaireSource], folder: Path) -> dict[str, Lumina
     """The luminaires by the name of their files; refuses names that occur twice."""
     if not sources:
         raise LumitreeError("no luminaire to bake; give at least one")
+    paths = [gldf_variant(each.name)[0] for each in sources if each.name not in BUILTIN]
+    paths += [each.materials for each in sources if each.materials is not None]
+    files = dict.fromkeys(paths)
+    if missing := [shown(each, 200) for each in files if not os.path.exists(each)]:
+        raise LumitreeError(
+            f"{len(missing)} of {len(files)} files are missing: {', '.join(missing)}"
+        )
     named: dict[str, LuminaireSource] = {}
     # Some file systems do not distinguish upper and lower case.
     taken: dict[str, str] = {}
     for source in sources:
-        name = source.name if source.name in BUILTIN else Path(gldf_variant(source.name)[0]).stem
+        own = source.name if source.name in BUILTIN else Path(gldf_variant(source.name)[0]).stem
+        name = source.title or own
         if (other := taken.get(name.casefold())) is not None:
             raise LumitreeError(
                 f"{shown(other, 200)} and {shown(source.name, 200)} would both be written to "
-                f"{shown(folder / name, 200)}.lumitree; rename one, or choose another folder for it"
+                f"{shown(folder / name, 200)}.lumitree; give one another name, as NAME=FILE, or "
+                "choose another folder for it"
             )
         taken[name.casefold()] = source.name
         check_asset_output(LampFiles(folder, name).asset)

@@ -12,7 +12,6 @@ from lumitree.asset.light_field import LightField, TracedPaths, make_light_field
 from lumitree.core.octahedral import intensity_of_histogram, own_solid_angles
 from lumitree.core.photometry import luminance
 from lumitree.core.progress import progress
-from lumitree.errors import LumitreeError
 from lumitree.fit.light_field.batches import num_batches, path_batches
 from lumitree.fit.light_field.grid import grid_depth
 from lumitree.fit.light_field.inside import DISTANCES, make_entries
@@ -23,6 +22,7 @@ from lumitree.lamp.luminaire import Luminaire
 from lumitree.lamp.sent import LampWorkers
 from lumitree.trace.histograms import BinnedRays, EndingHistogram, Histogram
 from lumitree.trace.light_field_config import LightFieldFitConfig
+from lumitree.trace.lost_light import check_output
 
 
 def bake_light_field(
@@ -64,10 +64,7 @@ def bake_light_field(
             flux = luminance(rays.flux.astype(np.float64).T)
             by_direction.append(np.bincount(rays.bins, flux, config.resolution**2))
             advance(1)
-    if not histogram.flux.any():
-        raise LumitreeError(
-            f"no light leaves {luminaire.name}; look for emitters that are enclosed or black"
-        )
+    check_output(luminaire, np.sum(by_direction, axis=1), config.seed)
     traced = TracedPaths(
         count=batches * config.batch,
         seeds=(config.seed,),

@@ -2,6 +2,7 @@
 
 import dataclasses
 import io
+import re
 import warnings
 from collections.abc import Callable, Hashable
 
@@ -16,6 +17,11 @@ MAX_IMAGE_PIXELS = 8192 * 8192
 # Largest size of everything that is decoded and computed for one model; four images of 4096²
 # pixels, used in every role, need less.
 MAX_TOTAL_BYTES = 5 * 2**28
+# Each scan of a progressive JPEG file, of which a few bytes are enough, takes the time of a whole
+# image. Programs write about ten.
+_MAX_SCANS = 100
+# Markers that a length follows, and the end of the image.
+_JPEG_MARKER = re.compile(rb"\xff([^\x00\x01\xd0-\xd8\xff])")
 _BLOCK_PIXELS = 2**20
 
 
@@ -87,6 +93,10 @@ class Images:
                 image = Image.open(io.BytesIO(data), formats=formats)
                 # Only the header has been read so far.
                 _check_size(image, where)
+                if image.format == "JPEG" and _scans(data) > _MAX_SCANS:
+                    raise LumitreeError(
+                        f"{where} has more than {_MAX_SCANS} scans; save it as a PNG file"
+                    )
                 self.spend(4 * image.width * image.height, where)
                 image = _rgba(image)
         except Image.DecompressionBombError:
@@ -135,6 +145,15 @@ def _check_size(image: Image.Image, where: str) -> None:
             f"{where} has {sides[0]} x {sides[1]} pixels; at most {MAX_SIDE} along a side and "
             f"{MAX_IMAGE_PIXELS} in an image: make it smaller"
         )
+
+
+def _scans(data: bytes) -> int:
+    """Number of scans of a JPEG file."""
+    at = count = 0
+    while (found := _JPEG_MARKER.search(data, at)) and found[1] != b"\xd9":
+        count += found[1] == b"\xda"
+        at = found.end() + int.from_bytes(data[found.end() : found.end() + 2], "big")
+    return count
 
 
 def _rgba(image: Image.Image) -> Image.Image:

@@ -1,8 +1,6 @@
 """Settings that replace or complete those of a model's file: materials, emission, unit, up axis."""
 
 import dataclasses
-import fnmatch
-import re
 import warnings
 from collections.abc import Mapping, Sequence
 from typing import Literal
@@ -15,10 +13,9 @@ from lumitree.errors import LumitreeError, LumitreeWarning, shown, shown_names
 from lumitree.lamp.importers.topology import count_solids
 from lumitree.lamp.masked_emission import opacity_of_faces
 from lumitree.lamp.meshes import Floats, Mesh, area_normals, join
+from lumitree.lamp.names import select_names
 from lumitree.lamp.parts import RGB, WHITE, Geometry, Glass, Material, Part, Surface
-
-# A pattern of digits alone; a name of this form is matched by "[#]3".
-_NUMBER = re.compile(r"#[0-9]{1,9}")
+from lumitree.lamp.scene_writer import transmits
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,6 +65,16 @@ class Overrides:
     variant: str | None = None
     materials: Mapping[str, MaterialOverride] = dataclasses.field(default_factory=dict)
 
+    def of(self, material: Material) -> MaterialOverride | None:
+        """The override of a material, by its name in the model's file or its own."""
+        return self.materials.get(material.title, self.materials.get(material.name))
+
+
+def setting(title: str, value: str) -> str:
+    """The line of a file of overrides that gives a material a value, for messages."""
+    name = shown(title).replace("\\", "\\\\").replace('"', '\\"')
+    return f'material."{name}".{value}'
+
 
 def apply_overrides(model: Geometry, overrides: Overrides) -> Geometry:
     """The model in metres, y up, with its materials changed.
@@ -98,6 +105,22 @@ def apply_overrides(model: Geometry, overrides: Overrides) -> Geometry:
     return dataclasses.replace(model, materials=materials)
 
 
+def sided_materials(model: Geometry, overrides: Overrides) -> set[str]:
+    """Titles of materials whose front and back differ once the overrides are applied.
+
+    Those that emit, and those that reflect on one side only.
+    """
+    found = set()
+    for each in model.materials:
+        change = overrides.of(each)
+        emits, alike = each.radiance is not None, each.two_sided or transmits(each.surface)
+        if change is not None:
+            emits, alike = emits or change.emission is not None, alike or change.surface is not None
+        if emits or not alike:
+            found.add(each.title)
+    return found
+
+
 def select_parts(model: Geometry, keep: Sequence[str], drop: Sequence[str], file: str) -> Geometry:
     """The parts that match a `keep` pattern and no `drop` pattern.
 
@@ -125,70 +148,8 @@ def select_parts(model: Geometry, keep: Sequence[str], drop: Sequence[str], file
     for (part, at), wanted in zip(copies, chosen, strict=True):
         if wanted:
             kept.setdefault(part.name, []).append(at)
-    parts = tuple(_copies(part, kept[part.name]) for part in model.parts if part.name in kept)
+    parts = tuple(part.copies(kept[part.name]) for part in model.parts if part.name in kept)
     return dataclasses.replace(model, parts=parts)
-
-
-def _copies(part: Part, index: Sequence[int]) -> Part:
-    """A part with some of its copies."""
-    if len(index) == len(part.places):
-        return part
-    places, objects = (tuple(each[i] for i in index) for each in (part.places, part.objects))
-    return dataclasses.replace(part, places=places, objects=objects)
-
-
-def select_names(
-    names: Sequence[Sequence[str]],
-    keep: Sequence[str],
-    drop: Sequence[str],
-    file: str,
-    kind: str,
-    listed: Sequence[str] | None = None,
-) -> list[bool]:
-    """Which of the things are kept, each known by one or more names.
-
-    Args:
-        file, kind: name of the file, and what the things are, for messages.
-        listed: descriptions of the things, for messages; those of a file whose things may also be
-            chosen by number, as "#3". None: by names alone.
-
-    Raises:
-        LumitreeError: a pattern matches nothing, or nothing is left.
-    """
-    numbered = listed is not None
-    matched = {
-        pattern: [_matches(pattern, own, at if numbered else None) for at, own in enumerate(names)]
-        for pattern in (*keep, *drop)
-    }
-    for pattern, hits in matched.items():
-        if not any(hits):
-            option = "--keep" if pattern in keep else "--drop"
-            raise LumitreeError(
-                f"{file}: {option} {shown(pattern)!r} matches no {kind}; there are "
-                f"{_known(names, listed, file)}"
-            )
-    kept = [
-        (not keep or any(matched[pattern][at] for pattern in keep))
-        and not any(matched[pattern][at] for pattern in drop)
-        for at in range(len(names))
-    ]
-    if not any(kept):
-        raise LumitreeError(f"{file}: --keep and --drop leave nothing; keep more or drop less")
-    return kept
-
-
-def _matches(pattern: str, names: Sequence[str], number: int | None) -> bool:
-    """Whether a pattern is the number of a thing, if it has one, or matches one of its names."""
-    if number is not None and _NUMBER.fullmatch(pattern):
-        return int(pattern[1:]) == number
-    return any(fnmatch.fnmatchcase(name, pattern) for name in names)
-
-
-def _known(names: Sequence[Sequence[str]], listed: Sequence[str] | None, file: str) -> str:
-    if listed is None:
-        return shown_names(dict.fromkeys(name for own in names for name in own if name))
-    how = f"; 'lumitree preview {file} --keep \"*\"' lists them with their numbers"
-    return shown_names(listed) + how
 
 
 def check_emits(model: Geometry, file: str, overrides_name: str) -> None:
@@ -205,11 +166,10 @@ def check_emits(model: Geometry, file: str, overrides_name: str) -> None:
         if item.name in used
     ):
         known = list(dict.fromkeys(i.title for i in model.materials if i.name in used))
-        example = shown(known[0]).replace("\\", "\\\\").replace('"', '\\"') if known else "bulb"
+        light = "emitter = { lumens = 800, temperature = 2700 }"
         raise LumitreeError(
             f"{file} has no emitter (materials: {shown_names(known)}); name one in "
-            f'{overrides_name}: material."{example}".emitter = '
-            "{ lumens = 800, temperature = 2700 }"
+            f"{overrides_name}: {setting(known[0] if known else 'bulb', light)}"
         )
 
 

@@ -5,6 +5,8 @@ The notions, which are the same for all file formats:
 * *place*: vertices whose positions are equal, to a tolerance, are in one place (`weld`). The
   faces [F, 3] of this module are triples of places, so that vertices which a file repeats do not
   open a surface.
+* *repeated*: a face whose corners are in the same places as the corners of another. Copies may be
+  rounded differently, so the tolerance is larger here (`repeats`).
 * *piece*: a set of faces that are connected by edges.
 * *consistent*: at every edge of the piece, as many faces run along it one way as the other, so
   that neighbouring faces have the same orientation.
@@ -19,37 +21,46 @@ The notions, which are the same for all file formats:
 """
 
 import warnings
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.errors import LumitreeWarning
+from lumitree.lamp.importers.polygons import newell
 from lumitree.lamp.meshes import Floats, Mesh, area_normals
 
 Indices = NDArray[np.int64]
 
-# Tolerance of `weld`, as a fraction of the bounding box's diagonal.
+# Smallest tolerance of `weld`, as a fraction of the bounding box's diagonal.
 _WELD = 5e-7
+# Distance of corners that are in one place to `repeats`, as a fraction of the diagonal of a
+# material's bounding box.
+_REPEATED = 1e-5
+# Most half-edges in one place that are taken for neighbours.
+_MAX_AT_EDGE = 8
 # Closed pieces with a smaller volume, divided by area^1.5, are two sheets in one place; a sphere
 # has 0.09.
 _MIN_FULLNESS = 1e-6
 # Largest number of tests of a triangle against a point with which pieces inside others are sought.
 _MAX_NESTING_WORK = 2_000_000_000
+# Most pieces that `has_body` looks at.
+_MAX_BODIES = 32
 # Vertices of a piece that must all lie inside another piece.
 _NESTING_PROBES = 8
 
 
-def weld(positions: Floats, tolerance: float = _WELD) -> Indices:
+def weld(positions: Floats, reach: float = 0.0) -> Indices:
     """Index [V] of each vertex's place, from 0; equal for vertices [V, 3] in one place.
 
     Args:
         positions: [V, 3].
-        tolerance: fraction of the bounding box's diagonal, at least 5e-7. Vertices no farther
-            apart than this along each axis are in one place; so are those connected by others.
+        reach: vertices no farther apart than this along each axis are in one place; so are those
+            connected by others. At least 5e-7 of the bounding box's diagonal is taken.
     """
     if not len(positions):
         return np.zeros(0, np.int64)
-    reach = max(float(np.linalg.norm(np.ptp(positions, axis=0))) * tolerance, 1e-300)
+    reach = max(float(np.linalg.norm(np.ptp(positions, axis=0))) * _WELD, reach, 1e-300)
     scaled = (positions - positions.min(axis=0)) / reach
     links = []
     # Two values no more than 1 apart share a cell of width 2 in one of two grids shifted by 1.
@@ -69,6 +80,90 @@ def connected(links: Indices, count: int) -> Indices:
 
     labels = trimesh.graph.connected_component_labels(links, node_count=count)
     return np.asarray(labels).astype(np.int64)
+
+
+def reach(points: Floats) -> float:
+    """Largest distance of corners that are in one place; `points` [..., 3] are a material's."""
+    return _REPEATED * float(np.linalg.norm(np.ptp(points.reshape(-1, 3), axis=0)))
+
+
+def repeats(corners: Floats, within: float) -> tuple[Indices, NDArray[np.bool_]]:
+    """The first face in the place of each, and whether the face is wound the other way.
+
+    Two faces of opposite winding where solids touch, or a solid is folded, do not repeat each
+    other: without one the solid would be open. The neighbours of a repeated face are repeated, too.
+
+    Args:
+        corners: [F, N, 3] of faces of one material.
+        within: `reach` of the material.
+
+    Returns:
+        [F] indices of faces, and [F].
+    """
+    first, turned = _in_one_place(corners, within)
+    if turned.any():
+        alone = np.bincount(first, minlength=len(first))[first] == 1
+        sheet = _sheets(corners, within, first)
+        kept = turned & (np.bincount(sheet, alone) > 0)[sheet]
+        first[kept], turned[kept] = np.flatnonzero(kept), False
+    return first, turned
+
+
+def _sheets(corners: Floats, within: float, first: Indices) -> Indices:
+    """Index [F] of the sheet of each face: neighbours of one orientation, and none in one place.
+
+    Args:
+        first: as of `repeats`.
+    """
+    count, size = corners.shape[:2]
+    start = weld(corners.reshape(-1, 3), within)
+    stop = np.roll(start.reshape(count, size), -1, axis=1).ravel()
+    edge = np.minimum(start, stop) * (int(start.max()) + 1) + np.maximum(start, stop)
+    order = np.argsort(edge, kind="stable")
+    edge, forward, place = edge[order], (start < stop)[order], np.repeat(first, size)[order]
+    links = []
+    for step in range(1, _MAX_AT_EDGE):
+        near, far = slice(0, -step), slice(step, None)
+        joined = (edge[near] == edge[far]) & (forward[near] != forward[far])
+        joined &= place[near] != place[far]
+        links.append(np.stack([order[near][joined], order[far][joined]], axis=1) // size)
+    return connected(np.concatenate(links), count)
+
+
+def _in_one_place(corners: Floats, within: float) -> tuple[Indices, NDArray[np.bool_]]:
+    """As `repeats`, without regard to neighbours."""
+    first, turned = np.arange(len(corners)), np.zeros(len(corners), np.bool_)
+    near = weld(corners.mean(axis=1), within)
+    chosen = np.flatnonzero(np.bincount(near)[near] > 1)
+    if not len(chosen):
+        return first, turned
+    own = corners[chosen]
+    places = weld(own.reshape(-1, 3), within).reshape(own.shape[:2])
+    sets = np.sort(places, axis=1)
+    # Faces too small for this comparison would all look alike.
+    small = (np.diff(sets, axis=1) == 0).any(axis=1)
+    order = np.lexsort(sets.T)
+    new = np.ones(len(sets), bool)
+    new[1:] = (np.diff(sets[order], axis=0) != 0).any(axis=1)
+    same = np.empty(len(sets), np.int64)
+    same[order] = order[new][np.cumsum(new) - 1]
+    same[small] = np.flatnonzero(small)
+    first[chosen], turned[chosen] = chosen[same], _turned(own, places, same)
+    if small.any() and within > 0:
+        finer, turned[chosen[small]] = _in_one_place(own[small], 0.0)
+        first[chosen[small]] = chosen[small][finer]
+    return first, turned
+
+
+def _turned(corners: Floats, places: Indices, same: Indices) -> NDArray[np.bool_]:
+    """Whether faces [F, N, 3] are wound the other way than the faces `same` of their corners."""
+    if places.shape[1] > 3:
+        normals = newell(corners)
+        return (normals * normals[same]).sum(axis=1) < 0
+    # By the order of the corners: triangles without any area have no normals.
+    turn = (places.argmin(axis=1)[:, None] + np.arange(3)) % 3
+    cycles = np.take_along_axis(places, turn, axis=1)
+    return (cycles != cycles[same]).any(axis=1)
 
 
 class Pieces:
@@ -107,12 +202,13 @@ class Pieces:
 
 
 def count_solids(mesh: Mesh) -> tuple[int, int]:
-    """Number of solid pieces of a mesh, and number of all its pieces."""
-    places = weld(mesh.vertices)
-    pieces = Pieces(places[mesh.faces])
-    area = np.linalg.norm(area_normals(mesh.vertices, mesh.faces), axis=1) / 2
+    """Number of solid pieces of a mesh whose repeated faces count once, and of all its pieces."""
+    first, _ = repeats(mesh.vertices[mesh.faces], reach(mesh.vertices))
+    faces = mesh.faces[first == np.arange(len(first))]
+    pieces = Pieces(weld(mesh.vertices)[faces])
+    area = np.linalg.norm(area_normals(mesh.vertices, faces), axis=1) / 2
     area = np.bincount(pieces.label, area)
-    full = np.abs(_volumes(mesh.vertices, mesh.faces, pieces)) > _MIN_FULLNESS * area**1.5
+    full = np.abs(_volumes(mesh.vertices, faces, pieces)) > _MIN_FULLNESS * area**1.5
     return int((pieces.closed & pieces.consistent & full).sum()), len(pieces.closed)
 
 
@@ -120,6 +216,36 @@ def is_solid(mesh: Mesh) -> bool:
     """Whether all pieces of a mesh are solid."""
     solids, pieces = count_solids(mesh)
     return solids == pieces
+
+
+def probes(vertices: Floats) -> Floats:
+    """Some of the vertices [P, 3] of a piece or a part, by which it is found inside others."""
+    return vertices[np.linspace(0, len(vertices) - 1, _NESTING_PROBES).astype(np.int64)]
+
+
+def has_body(mesh: Mesh, alike: Sequence[Floats], others: Sequence[Floats]) -> bool:
+    """Whether a solid mesh has a piece that is no sheet around something else, as a bulb is.
+
+    There is nothing in such a piece, or the inner side of its wall. Some of many pieces are looked
+    at.
+
+    Args:
+        alike, others: `probes` of other parts, of the mesh's material and of others.
+    """
+    if not is_solid(mesh):
+        return False
+    label = Pieces(weld(mesh.vertices)[mesh.faces]).label
+    order = np.argsort(label, kind="stable")
+    corners = mesh.vertices[mesh.faces[order]]
+    pieces = np.split(corners, np.cumsum(np.bincount(label))[:-1])
+    own = [probes(piece.reshape(-1, 3)) for piece in pieces]
+    for at in range(0, len(pieces), -(-len(pieces) // _MAX_BODIES)):
+        piece = pieces[at]
+        if any(_encloses(piece, each) for each in (*own[:at], *own[at + 1 :], *alike)):
+            return True
+        if not any(_encloses(piece, each) for each in others):
+            return True
+    return False
 
 
 def faces_to_turn(
@@ -171,9 +297,7 @@ def _nesting(positions: Floats, faces: Indices, pieces: Pieces, where: str) -> I
     boxes = [positions[faces[groups[piece]].ravel()] for piece in closed]
     low = np.stack([box.min(axis=0) for box in boxes])
     high = np.stack([box.max(axis=0) for box in boxes])
-    probes = np.stack(
-        [box[np.linspace(0, len(box) - 1, _NESTING_PROBES).astype(np.int64)] for box in boxes]
-    )
+    points = [probes(box) for box in boxes]
     work = len(closed) ** 2
     for outer, piece in enumerate(closed):
         within = ((low > low[outer]) & (high < high[outer])).all(axis=1)
@@ -188,7 +312,7 @@ def _nesting(positions: Floats, faces: Indices, pieces: Pieces, where: str) -> I
             return np.zeros_like(depth)
         triangles = positions[faces[groups[piece]]]
         for inner in np.flatnonzero(within):
-            depth[closed[inner]] += _encloses(triangles, probes[inner])
+            depth[closed[inner]] += _encloses(triangles, points[inner])
     return depth
 
 
@@ -198,6 +322,9 @@ def _encloses(triangles: Floats, points: Floats) -> bool:
     Van Oosterom and Strackee, "The Solid Angle of a Plane Triangle", IEEE Trans. Biomed. Eng.
     30(2), 1983.
     """
+    low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
+    if not ((points > low) & (points < high)).all():
+        return False
     for point in points:
         a, b, c = np.moveaxis(triangles - point, 1, 0)
         la, lb, lc = (np.linalg.norm(corner, axis=1) for corner in (a, b, c))

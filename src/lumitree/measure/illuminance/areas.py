@@ -18,6 +18,8 @@ from lumitree.core.files import FilePath
 from lumitree.core.reading import read_bytes
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.errors import LumitreeError, shown
+from lumitree.lamp.names import matching
+from lumitree.lamp.scene_shapes import CHOSEN_BY, SceneShape
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -92,7 +94,8 @@ class Surface:
     """A shape of the scene, on which illuminance is wanted, on the side of its normals.
 
     Attributes:
-        shape: its id in the scene.
+        shape: its id in the scene, the id of its BSDF, or its number such as "#3", from 0 in the
+            order of the file. * and ? stand for any characters; all shapes that match count.
         spacing: root of the area for each point, scene units.
 
     Raises:
@@ -105,34 +108,57 @@ class Surface:
     def __post_init__(self) -> None:
         check_range("spacing", self.spacing, 1 / _MAX_LENGTH, _MAX_LENGTH)
 
-    def points(self, scene: mi.Scene, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Points and normals [N, 3], spread evenly over the surface.
+    def points(
+        self, shapes: Sequence[Any], seed: int
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Points and normals [N, 3], spread evenly over the shapes that `chosen_shapes` returns.
 
         Raises:
-            LumitreeError: there is no such shape, or too many points.
+            LumitreeError: there are too many.
         """
         import mitsuba as mi
 
         from lumitree.core.device import on_device
 
-        found = [each for each in scene.shapes() if each.id() == self.shape]
-        if not found:
-            names = ", ".join(sorted(each.id() for each in scene.shapes())) or "none"
-            raise LumitreeError(
-                f"the scene has no shape {shown(repr(self.shape), 100)}; its shapes are: "
-                f"{shown(names, 300)}"
-            )
-        area = float(np.ravel(found[0].surface_area())[0])
-        count = max(1, round(area / self.spacing**2))
-        _check_count(count)
+        areas = [float(np.ravel(shape.surface_area())[0]) for shape in shapes]
+        counts = [max(1, round(area / self.spacing**2)) for area in areas]
+        _check_count(sum(counts))
         # An additive recurrence covers the unit square evenly (Roberts 2018).
         golden = 1.32471795724474602596
         start = np.random.default_rng(SeedStream(Purpose.ILLUMINANCE, draw=2).seed(seed)).random(2)
-        sample = (start + np.arange(1, count + 1)[:, None] / golden ** np.array([1, 2])) % 1
-        at = found[0].sample_position(0, on_device(mi.Point2f, sample))
-        place, normal = np.array(at.p, np.float64).T, np.array(at.n, np.float64).T
-        # The one normal of a flat shape comes once.
-        return np.broadcast_to(place, (count, 3)), np.broadcast_to(normal, (count, 3))
+        places, normals = [], []
+        for shape, count in zip(shapes, counts, strict=True):
+            sample = (start + np.arange(1, count + 1)[:, None] / golden ** np.array([1, 2])) % 1
+            at = shape.sample_position(0, on_device(mi.Point2f, sample))
+            # The one normal of a flat shape comes once.
+            for found, each in ((places, at.p), (normals, at.n)):
+                found.append(np.broadcast_to(np.array(each, np.float64).T, (count, 3)))
+        return np.concatenate(places), np.concatenate(normals)
+
+
+def chosen_shapes(
+    surface: Surface, scene: mi.Scene, shapes: Sequence[SceneShape], title: str
+) -> list[Any]:
+    """The mi.Shape objects of a scene that a surface names.
+
+    Args:
+        shapes: of the scene, as its file names them.
+        title: of the scene, for messages.
+
+    Raises:
+        LumitreeError: there are none, or points cannot be spread over one, as over an instance.
+    """
+    names, listed = [each.names for each in shapes], list(map(str, shapes))
+    chosen = matching(surface.shape, "--surface", names, title, CHOSEN_BY, listed)
+    found = []
+    for made, described, wanted in zip(scene.shapes(), shapes, chosen, strict=True):
+        if wanted and made.class_name() == "Instance":
+            raise LumitreeError(
+                f"{title}: {described.label} is an instance, over which no points are spread; give "
+                "a plane or points"
+            )
+        found += [made] * wanted
+    return found
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -162,14 +188,17 @@ class Receivers:
 
 
 def collect(
-    scene: mi.Scene,
     planes: Sequence[Plane],
     surfaces: Sequence[Surface],
+    chosen: Sequence[Sequence[Any]],
     points: ArrayLike | None,
     normals: ArrayLike | None,
     seed: int,
 ) -> list[Receivers]:
     """The receivers of a call of `illuminance`, whose arguments these are.
+
+    Args:
+        chosen: the shapes of each surface.
 
     Raises:
         LumitreeError: there are none or too many, or points and normals do not match.
@@ -178,7 +207,10 @@ def collect(
         Receivers(plane.name or f"plane {number}", *plane.points(), plane)
         for number, plane in enumerate(planes, 1)
     ]
-    areas += [Receivers(each.shape, *each.points(scene, seed)) for each in surfaces]
+    areas += [
+        Receivers(each.shape, *each.points(shapes, seed))
+        for each, shapes in zip(surfaces, chosen, strict=True)
+    ]
     if points is not None:
         areas.append(Receivers("points", *_given(points, normals)))
     elif normals is not None:

@@ -19,7 +19,7 @@ from lumitree.core.seeds import check_seed
 from lumitree.core.stopwatch import Stopwatch
 from lumitree.core.units import metres_of
 from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown, shown_names
-from lumitree.measure.illuminance.areas import Plane, Receivers, Surface, collect
+from lumitree.measure.illuminance.areas import Plane, Receivers, Surface, chosen_shapes, collect
 from lumitree.measure.illuminance.figures import AreaFigures
 from lumitree.rendering.placement import Placement
 
@@ -200,9 +200,9 @@ def illuminance(
     watch = Stopwatch()
     with reporting(progress):
         with watch.stage("load"):
-            room = load_room(scene)
-            # Before the luminaires are placed, which renames the shapes of the room.
-            areas = collect(room, planes, surfaces, points, normals, seed)
+            room, shapes = load_room(scene)
+            chosen = [chosen_shapes(each, room, shapes, scene_title(scene)) for each in surfaces]
+            areas = collect(planes, surfaces, chosen, points, normals, seed)
             placed = open_placements(placements, metres)
             _warn_of_glass(placed)
             whole = place_luminaires(room, placed, appearance="geometry")

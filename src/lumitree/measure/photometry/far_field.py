@@ -6,6 +6,7 @@ then serve for the rest.
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Literal
 
@@ -36,6 +37,7 @@ from lumitree.rendering.asset_rays import AssetRays
 from lumitree.trace.emitted_rays import EmittedRays, RayBatch
 from lumitree.trace.emitted_spectrum import emitted_spectrum
 from lumitree.trace.lamp_rays import LampRays
+from lumitree.trace.lost_light import check_output
 
 Up = Literal["y", "z"]
 # Samples that are traced at once.
@@ -59,6 +61,7 @@ class Source:
             rays of that draw, local units; None if it is not known.
         spectrum: of the bare emitters; None if it is not known.
         exact: what is known without rays; None if nothing is.
+        check: `check_output` of a luminaire; None of an asset.
     """
 
     name: str
@@ -67,6 +70,7 @@ class Source:
     bare_flux: Callable[[int, int], NDArray[np.float64]] | None = None
     spectrum: EmittedSpectrum | None = None
     exact: ExactLight | None = None
+    check: Callable[[NDArray[np.float64], int], None] | None = None
 
 
 def oriented(source: Source, unit: float, up: Up) -> Source:
@@ -90,7 +94,9 @@ def luminaire_source(luminaire: Luminaire) -> Source:
     """Light paths of a luminaire."""
     rays = LampRays(luminaire)
     spectrum = emitted_spectrum(luminaire)
-    return Source(luminaire.name, luminaire.frame, rays, rays.bare_flux, spectrum)
+    check = functools.partial(check_output, luminaire)
+    frame = luminaire.frame
+    return Source(luminaire.name, frame, rays, rays.bare_flux, spectrum, check=check)
 
 
 def asset_source(asset: Asset, file: IntensityDistribution | None = None) -> Source:
@@ -176,10 +182,10 @@ def measure(
                 kept.append(rays)
             advance(1)
     assert tally is not None
-    if not tally.watts.any():
-        raise LumitreeError(
-            f"no light leaves {source.name}; look for emitters that are enclosed or black"
-        )
+    if source.check is not None:
+        source.check(luminance(tally.watts) / source.frame.scale**2, seed)
+    elif not tally.watts.any():
+        raise LumitreeError(f"no light leaves {source.name}")
     return Measurement(
         name=source.name,
         grid=tally.grid,

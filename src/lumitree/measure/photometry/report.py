@@ -2,20 +2,17 @@
 
 import base64
 import html
-import io
 import os
-import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from lumitree.core.drawing import Sheet, pdf_file, text_page
 from lumitree.core.files import write_bytes
-from lumitree.core.text import any_characters
 from lumitree.errors import shown
 from lumitree.formats.type_c import Grid
 from lumitree.measure.photometry.figures import PLANES, PhotometricData, plane_curve
@@ -29,10 +26,6 @@ from lumitree.measure.photometry.tables import (
 )
 
 _COLOURS = {"C0-C180": "#1f4e9c", "C90-C270": "#c2410c"}
-# Sizes of pages and figures, inches; A4.
-_PAGE, _PLOTS = (8.27, 11.69), (11.0, 4.6)
-_LEVELS = 10
-_DPI = 110
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem;
        color: #1c1917; background: #fff; }
@@ -67,51 +60,23 @@ _UGR_NOTE = (
 
 def plots_png(data: PhotometricData) -> bytes:
     """Polar plot and isocandela plot as a PNG file."""
-    figure = Figure(figsize=_PLOTS, layout="constrained")
+    figure = Sheet(figsize=(11.0, 4.6), dpi=110, layout="constrained")
     _polar(figure.add_subplot(1, 2, 1, projection="polar"), data)
     _isocandela(figure, figure.add_subplot(1, 2, 2), data)
-    return _saved(figure, "png", dpi=_DPI)
+    return figure.png()
 
 
-@any_characters()
 def write_pdf(path: str | os.PathLike[str], data: PhotometricData) -> None:
-    """Write the report as a PDF file of one A4 page."""
-    figure = Figure(figsize=_PAGE)
-    figure.text(
-        0.08,
-        0.955,
-        f"Photometric report: {shown(data.distribution.name)}",
-        fontsize=15,
-        parse_math=False,
-    )
-    _polar(figure.add_axes((0.08, 0.65, 0.36, 0.245), projection="polar"), data)
-    _isocandela(figure, figure.add_axes((0.56, 0.66, 0.36, 0.225)), data)
-    y = _table(figure, 0.6, _figure_rows(data), (0.08, 0.40))
-    y = _table(
-        figure,
-        y - 0.02,
-        [NEAR_FIELD_HEADER, *near_field_rows(data.near_field)],
-        (0.08, 0.32, 0.47, 0.66),
-    )
-    for note in _notes(data):
-        figure.text(0.08, y - 0.012, _wrapped(note), fontsize=7.5, va="top", color="#57534e")
-        y -= 0.03
-    pages = [figure] if data.ugr is None else [figure, _ugr_page(data.ugr)]
-    stream = io.BytesIO()
-    with PdfPages(stream) as file:
-        for page in pages:
-            file.savefig(page)
-    write_bytes(path, stream.getvalue())
-
-
-def _ugr_page(ugr: NDArray[np.float64]) -> Figure:
-    """The second page of the PDF file."""
-    figure = Figure(figsize=_PAGE)
-    columns = (0.08, *(0.16 + 0.077 * i for i in range(10)))
-    figure.text(0.08, 0.955, _UGR_TITLE, fontsize=12)
-    y = _table(figure, 0.92, [UGR_HEADER, *ugr_rows(ugr)], columns)
-    figure.text(0.08, y - 0.012, _wrapped(_UGR_NOTE), fontsize=7.5, va="top", color="#57534e")
-    return figure
+    """Write the report as a PDF file of A4 pages: one, or two with glare ratings."""
+    title = f"Photometric report: {shown(data.distribution.name)}"
+    near_field = [NEAR_FIELD_HEADER, *near_field_rows(data.near_field)]
+    page = text_page(title, 0.6, [_figure_rows(data), near_field], _notes(data))
+    _polar(page.add_axes((0.08, 0.65, 0.36, 0.245), projection="polar"), data)
+    _isocandela(page, page.add_axes((0.56, 0.66, 0.36, 0.225)), data)
+    pages = [page]
+    if data.ugr is not None:
+        pages.append(text_page(_UGR_TITLE, 0.92, [[UGR_HEADER, *ugr_rows(data.ugr)]], [_UGR_NOTE]))
+    write_bytes(path, pdf_file(pages))
 
 
 def write_html(path: str | os.PathLike[str], data: PhotometricData) -> None:
@@ -181,7 +146,7 @@ def _isocandela(figure: Figure, axes: Any, data: PhotometricData) -> None:
     distribution = data.distribution
     c = np.append(distribution.c, 360)
     values = np.concatenate([distribution.intensity, distribution.intensity[:1]]).T
-    levels = MaxNLocator(_LEVELS).tick_values(0, float(values.max()) or 1.0)
+    levels = MaxNLocator(10).tick_values(0, float(values.max()) or 1.0)
     filled = axes.contourf(c, distribution.gamma, values, levels=levels, cmap="viridis")
     axes.contour(c, distribution.gamma, values, levels=levels[1:-1], colors="white", linewidths=0.4)
     axes.set_xticks(np.arange(0, 361, 90))
@@ -194,17 +159,6 @@ def _isocandela(figure: Figure, axes: Any, data: PhotometricData) -> None:
     bar.ax.tick_params(labelsize=8)
 
 
-def _table(
-    figure: Figure, y: float, rows: Sequence[tuple[str, ...]], columns: tuple[float, ...]
-) -> float:
-    """Write rows of text from `y` downwards; returns where they end."""
-    for row in rows:
-        for x, text in zip(columns, row, strict=True):
-            figure.text(x, y, text, fontsize=8.5)
-        y -= 0.015
-    return y
-
-
 def _html_table(rows: Any, header: tuple[str, ...] | None = None) -> str:
     def line(cells: tuple[str, ...], tag: Callable[[int], str]) -> str:
         return "".join(f"<{tag(i)}>{html.escape(cell)}</{tag(i)}>" for i, cell in enumerate(cells))
@@ -212,13 +166,3 @@ def _html_table(rows: Any, header: tuple[str, ...] | None = None) -> str:
     lines = [] if header is None else [line(header, lambda _: "th")]
     lines += [line(row, lambda i: "td" if i else "th") for row in rows]
     return "<table>\n" + "\n".join(f"<tr>{each}</tr>" for each in lines) + "\n</table>"
-
-
-def _wrapped(text: str, width: int = 118) -> str:
-    return "\n".join(textwrap.wrap(text, width))
-
-
-def _saved(figure: Figure, kind: str, **options: Any) -> bytes:
-    stream = io.BytesIO()
-    figure.savefig(stream, format=kind, **options)
-    return stream.getvalue()

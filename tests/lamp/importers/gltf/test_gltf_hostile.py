@@ -12,7 +12,7 @@ from PIL import Image
 from lumitree.errors import LumitreeWarning
 from lumitree.lamp import parts as model
 from lumitree.lamp.importers import images
-from lumitree.lamp.importers.gltf import accessors, read_gltf
+from lumitree.lamp.importers.gltf import accessors, container, read_gltf
 from support.gltf_builder import QUAD, QUAD_FACES, QUAD_UV, Gltf
 from support.gltf_refusals import quad, refused, refused_json, sparse, textured
 
@@ -328,3 +328,8 @@ def test_names_cannot_leave_the_folder_or_the_xml(tmp_path):
     assert all(len(entry) < 64 for entry in names)
     assert len({part.name for part in model.parts}) == 3
     assert len({entry.name for entry in model.materials}) == 3
+
+
+def test_json_of_too_many_values_is_refused_before_it_is_parsed(tmp_path):
+    text = '{"asset": {"version": "2.0"}, "extras": [' + "[]," * (container.MAX_VALUES // 2) + "0]}"
+    refused_json(tmp_path, text, "has more than 5,000,000 values in its JSON text; export fewer")

@@ -21,6 +21,8 @@ from lumitree.lamp.importers.gltf.item import Item
 from lumitree.lamp.importers.model_folder import ModelFolder
 
 MAX_FILE_BYTES = 2**31
+# Most values of the JSON text; each takes about 100 bytes of memory.
+MAX_VALUES = 5_000_000
 SUPPORTED_EXTENSIONS = frozenset(
     {
         "EXT_mesh_gpu_instancing",
@@ -187,6 +189,10 @@ def _split(path: Path, name: str, data: bytes) -> tuple[bytes, bytes | None]:
 
 
 def _parse(text: bytes, name: str) -> Any:
+    if sum(map(text.count, b"[{,")) > MAX_VALUES:
+        raise LumitreeError(
+            f"{name} has more than {MAX_VALUES:,} values in its JSON text; export fewer objects"
+        )
     try:
         return json.loads(text.decode("utf-8-sig"), parse_constant=_refuse_constant)
     except RecursionError:

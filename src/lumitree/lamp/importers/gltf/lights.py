@@ -1,6 +1,7 @@
 """Point and spot lights of KHR_lights_punctual, as small emitting surfaces that cameras see."""
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -27,7 +28,9 @@ _MARGIN = 1 + 1 / 64
 _BLACK = Diffuse((0.0, 0.0, 0.0))
 
 
-def light_parts(light: Item, world: Floats, name: str, notes: Notes) -> list[tuple[Part, Material]]:
+def light_parts(
+    light: Item, worlds: Sequence[Floats], name: str, notes: Notes
+) -> list[tuple[Part, Material]]:
     """A light as parts and their materials; none where it emits nothing or is directional.
 
     A point light becomes a sphere of radius LIGHT_RADIUS. A spot light becomes a smaller emitter in
@@ -36,7 +39,7 @@ def light_parts(light: Item, world: Floats, name: str, notes: Notes) -> list[tup
 
     Args:
         light: its JSON.
-        world: `world_from_node` [4, 4]; a light ignores its scale.
+        worlds: `world_from_node` [4, 4] of all nodes with the light, which ignores their scale.
         name: of the first part and its material; that of a shade has "_shade" after it.
         notes: where approximations are noted.
 
@@ -57,19 +60,18 @@ def light_parts(light: Item, world: Floats, name: str, notes: Notes) -> list[tup
     if intensity == 0 or max(colour) == 0:
         return []
     emitter = _sphere(LIGHT_RADIUS)
+    places = tuple(_place(world, turned=cone is not None) for world in worlds)
     # The mean projected area of a convex body is a quarter of its surface.
     area, others = _area(emitter) / 4, []
     if cone is not None:
         emitter, area, opacity = _spot(*cone)
         shade = Material(f"{name}_shade", _BLACK, opacity=opacity)
         mesh = _shade(cone[1])
-        place = _place(world, turned=True)
-        others = [(Part(shade.name, mesh, shade.name, (place,), in_metres=True), shade)]
+        others = [(Part(shade.name, mesh, shade.name, places, in_metres=True), shade)]
     red, green, blue = (intensity / area / LUMENS_PER_WATT * channel for channel in colour)
     radiance: RGB = (red, green, blue)
     material = Material(name, _BLACK, radiance=radiance)
-    place = _place(world, turned=cone is not None)
-    part = Part(name, emitter, name, (place,), in_metres=True)
+    part = Part(name, emitter, name, places, in_metres=True)
     return [(part, material), *others]
 
 

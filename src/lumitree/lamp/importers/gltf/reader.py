@@ -25,7 +25,14 @@ from lumitree.lamp.importers.gltf.primitives import MAX_TRIANGLES, baked, read_t
 from lumitree.lamp.importers.gltf.variants import Variants
 from lumitree.lamp.importers.mesh_faces import by_handedness
 from lumitree.lamp.importers.mesh_normals import turned_with_normals
-from lumitree.lamp.importers.topology import Pieces, faces_to_turn, is_solid, weld
+from lumitree.lamp.importers.topology import (
+    Pieces,
+    faces_to_turn,
+    is_solid,
+    reach,
+    repeats,
+    weld,
+)
 from lumitree.lamp.meshes import Floats, Mesh
 from lumitree.lamp.names import Names
 from lumitree.lamp.parts import Geometry, Material, Part, check_shapes
@@ -82,6 +89,7 @@ class _Reader:
         if len(self._document.root.items("scenes")) > 1:
             self._notes.file("scenes other than the default")
         meshes: dict[int, list[Node]] = {}
+        lights: dict[int, list[Node]] = {}
         for node in scene_nodes(self._document):
             if "skin" in node.item:
                 self._notes.file("skins (meshes stay in their rest pose)")
@@ -92,25 +100,32 @@ class _Reader:
             elif node.item.extension("EXT_mesh_gpu_instancing") is not None:
                 self._notes.file("instances of nodes without a mesh")
             if (light := node.item.extension("KHR_lights_punctual")) is not None:
-                self._light(node, light.integer("light"))
+                lights.setdefault(light.integer("light"), []).append(node)
+        for index, nodes in lights.items():
+            self._light(index, nodes)
         for index, nodes in meshes.items():
             self._mesh(index, nodes)
         if not self._parts:
             raise LumitreeError(f"{self._document.name} holds no triangles in its scene")
         return Geometry(tuple(self._parts), (*self._materials.all, *self._light_materials))
 
-    def _light(self, node: Node, index: int) -> None:
+    def _light(self, index: int, nodes: list[Node]) -> None:
+        item = nodes[0].item
         if index >= len(self._lights):
-            raise node.item.error(f"names light {index}, but there are {len(self._lights)}")
-        self._shapes += 1
-        check_shapes(self._shapes, node.item.where)
+            raise item.error(f"names light {index}, but there are {len(self._lights)}")
+        self._shapes += len(nodes)
+        check_shapes(self._shapes, item.where)
         light = self._lights[index]
-        name = self._part_names.unique(safe_name("light_" + light.string("name", str(index))))
-        for part, material in light_parts(light, node.world, name, self._notes):
+        own = light.string("name", str(index))
+        name = self._part_names.unique(safe_name(f"light_{own}"))
+        objects = tuple(node.item.string("name", own) for node in nodes)
+        worlds = [node.world for node in nodes]
+        for part, material in light_parts(light, worlds, name, self._notes):
             title = self._material_names.unique(material.name)
             self._light_materials.append(dataclasses.replace(material, name=title))
             own = name if part.name == name else self._part_names.unique(part.name)
-            self._parts.append(dataclasses.replace(part, name=own, material=title))
+            part = dataclasses.replace(part, name=own, material=title, objects=objects)
+            self._parts.append(part)
 
     def _mesh(self, index: int, nodes: list[Node]) -> None:
         item = self._document.entry("meshes", index)
@@ -183,9 +198,13 @@ def oriented_outwards(mesh: Mesh, where: str) -> Mesh:
     """
     places = weld(mesh.vertices)
     _, representative = np.unique(places, return_index=True)
-    faces = places[mesh.faces]
-    turn = faces_to_turn(mesh.vertices[representative], faces, Pieces(faces), where)
-    return turned_with_normals(mesh, turn)
+    # A repeated face is turned as the first in its place is.
+    first, against = repeats(mesh.vertices[mesh.faces], reach(mesh.vertices))
+    single = np.unique(first)
+    faces = places[mesh.faces[single]]
+    turn = np.zeros(len(first), np.bool_)
+    turn[single] = faces_to_turn(mesh.vertices[representative], faces, Pieces(faces), where)
+    return turned_with_normals(mesh, turn[first] ^ against)
 
 
 def _flattened(world: Floats) -> bool:

@@ -7,17 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.errors import shown
-from lumitree.lamp.importers.mesh_faces import with_backs
 from lumitree.lamp.importers.mesh_normals import CREASE, crease_normals, face_normals, unit
 from lumitree.lamp.importers.obj.parse import ObjFile
-from lumitree.lamp.importers.polygons import newell, triangulate
-from lumitree.lamp.importers.topology import Indices, Pieces, faces_to_turn, weld
+from lumitree.lamp.importers.polygons import triangulate
+from lumitree.lamp.importers.repeated_faces import kept_faces, warn_of_repeated, with_reversed
+from lumitree.lamp.importers.topology import Indices, Pieces, faces_to_turn, reach, weld
 from lumitree.lamp.meshes import Floats, Mesh
 from lumitree.lamp.parts import check_shapes
 
-# Of the diagonal of a material's bounding box: its faces whose corners are all nearer than this are
-# one face. A copy of a face may have been rounded differently when it was written.
-_REPEATED = 1e-5
 # Sharpest angle, degrees, across which shading is smooth in a file that does not ask for it: faces
 # of one plane share their vertices.
 _FLAT = 0.1
@@ -30,12 +27,16 @@ class _Triangles:
     Attributes:
         corners: [F, 3, 3] position, texture coordinate and normal.
         groups: [F] smoothing groups.
-        doubled: [F] whether the file has them in both windings.
+        doubled: [F] whether they emit, and the file has them in both windings.
+        within: `reach` of their material.
+        repeated: number of polygons that are left out, since they repeat others.
     """
 
     corners: Indices
     groups: Indices
     doubled: NDArray[np.bool_]
+    within: float
+    repeated: int
 
 
 def build_meshes(file: ObjFile, emitting: Collection[str]) -> dict[int, Mesh]:
@@ -57,38 +58,35 @@ def build_meshes(file: ObjFile, emitting: Collection[str]) -> dict[int, Mesh]:
     order = np.argsort(file.material, kind="stable")
     used, begins = np.unique(file.material[order], return_index=True)
     check_shapes(len(used), shown(file.path, 300))
-    meshes = {}
-    behind = _REPEATED * float(np.linalg.norm(np.ptp(positions, axis=0)))
+    meshes, repeated = {}, 0
     for number, chosen in zip(used.tolist(), np.split(order, begins[1:]), strict=True):
-        triangles, name = _cut(file, places, chosen, starts), file.materials[number]
-        if not len(triangles.corners):
-            continue
-        mesh = _mesh(file, places, positions, triangles, name)
-        if name in emitting and triangles.doubled.any():
-            mesh = with_backs(mesh, triangles.doubled, behind)
-        meshes[number] = mesh
+        name = file.materials[number]
+        triangles = _cut(file, places, chosen, starts, name in emitting)
+        repeated += triangles.repeated
+        if len(triangles.corners):
+            mesh = _mesh(file, places, positions, triangles, name)
+            meshes[number] = with_reversed(mesh, triangles.doubled, triangles.within)
+    warn_of_repeated(str(file.path), repeated)
     return meshes
 
 
-def _cut(file: ObjFile, places: Indices, chosen: Indices, starts: Indices) -> _Triangles:
+def _cut(
+    file: ObjFile, places: Indices, chosen: Indices, starts: Indices, emits: bool
+) -> _Triangles:
     """The chosen polygons as triangles, in the file's order of sizes; repeated ones once."""
     corners: list[Indices] = [np.zeros((0, 3, 3), np.int64)]
     groups: list[Indices] = [np.zeros(0, np.int64)]
     doubled: list[NDArray[np.bool_]] = [np.zeros(0, np.bool_)]
-    by_size = []
+    by_size, repeated = [], 0
     for size in np.unique(file.sizes[chosen]):
         polygons = chosen[file.sizes[chosen] == size]
         by_size.append((polygons, file.corners[starts[polygons][:, None] + np.arange(size)]))
     used = np.unique(np.concatenate([own[..., 0].ravel() for _, own in by_size]))
-    rough_places = weld(file.positions[used], _REPEATED)
+    within = reach(file.positions[used])
     for polygons, own in by_size:
-        rough = rough_places[np.searchsorted(used, own[..., 0])]
-        first = _first_of_each(np.sort(rough, axis=1))
-        normals = newell(file.positions[own[..., 0]])
-        both = np.zeros(len(own), np.bool_)
-        both[first[(normals * normals[first]).sum(axis=1) < 0]] = True
-        first = np.unique(first)
-        own, polygons, both = own[first], polygons[first], both[first]
+        keep, both = kept_faces(file.positions[own[..., 0]], within, emits)
+        repeated += int((~keep).sum() - both.sum())
+        own, polygons, both = own[keep], polygons[keep], both[keep]
         pick, polygon = triangulate(file.positions[own[..., 0]])
         corners.append(own[polygon[:, None], pick])
         groups.append(file.smoothing[polygons[polygon]])
@@ -97,20 +95,12 @@ def _cut(file: ObjFile, places: Indices, chosen: Indices, starts: Indices) -> _T
     ends = places[every[..., 0]]
     proper = (ends != np.roll(ends, 1, axis=1)).all(axis=1)
     return _Triangles(
-        every[proper], np.concatenate(groups)[proper], np.concatenate(doubled)[proper]
+        every[proper],
+        np.concatenate(groups)[proper],
+        np.concatenate(doubled)[proper],
+        within,
+        repeated,
     )
-
-
-def _first_of_each(sets: Indices) -> Indices:
-    """Index [P] of the first row [P, N] (sorted places) that is equal to each."""
-    order = np.lexsort(sets.T)
-    new = np.ones(len(sets), bool)
-    new[1:] = (np.diff(sets[order], axis=0) != 0).any(axis=1)
-    first = np.empty(len(sets), np.int64)
-    first[order] = order[new][np.cumsum(new) - 1]
-    # Faces too small for this comparison would all look alike.
-    small = (np.diff(sets, axis=1) == 0).any(axis=1)
-    return np.where(small, np.arange(len(sets)), first)
 
 
 def _mesh(
