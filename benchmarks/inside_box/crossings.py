@@ -57,7 +57,7 @@ def crossing_irradiance(
             sampler = mi.load_dict({"type": "independent"})
             sampler.seed(SeedStream(Purpose.IRRADIANCE, step, _DRAW).seed(seed), count)
             counter = _Counter(luminaire, rectangles)
-            _trace(luminaire.scene, sampler, counter)
+            _trace(luminaire, sampler, counter)
             for values, found in zip(batches, counter.irradiance(count), strict=True):
                 values.append(found)
             advance(1)
@@ -107,11 +107,12 @@ class _Counter:
 
 
 @dr.syntax
-def _trace(scene: Any, sampler: Any, counter: _Counter) -> None:
+def _trace(luminaire: Luminaire, sampler: Any, counter: _Counter) -> None:
     """Trace a light path for each sample of the sampler, as `light_paths.trace_light` does."""
     context = mi.BSDFContext(mi.TransportMode.Importance)
+    scene = luminaire.scene
     extent = scene_extent(scene)
-    ray, light = light_paths._emit(scene, sampler, extent)[:2]
+    ray, light = light_paths.emit(luminaire.emitting_surfaces, sampler, extent)[:2]
     flux = mi.Color3f(light)
     depth = mi.UInt32(0)
     active = dr.max(flux) > 0
