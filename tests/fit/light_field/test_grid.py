@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.tall_lamps import chandelier, measure, references
+from lumitree.errors import LumitreeError
 from lumitree.fit.light_field.bake import bake_light_field
 from lumitree.fit.light_field.grid import grid_depth
 from lumitree.lamp.loading import load_luminaire
@@ -36,6 +37,13 @@ def test_a_faint_glow_far_away_does_not_make_cells_larger(mi, tmp_path):
     floor = cube("floor", (0.5, 0.01, 0.5), (0, -2, 0), dark)
     lamp = lamp_of(tmp_path, sphere("bulb", 0.05, inside=AREA), floor)
     assert grid_depth(lamp) == 7
+
+
+def test_a_lamp_without_light_keeps_its_cells_and_is_refused(mi, tmp_path):
+    lamp = lamp_of(tmp_path, sphere("bulb", 1, inside=AREA), sphere("shell", 2))
+    assert grid_depth(lamp) == LEAST_DEPTH
+    with pytest.raises(LumitreeError, match="no light leaves"):
+        bake_light_field(lamp, CONFIG, tmp_path)
 
 
 @pytest.mark.slow

@@ -38,10 +38,12 @@ def grid_depth(luminaire: Luminaire) -> int:
     Raises:
         LumitreeError: a path's flux is NaN or infinite.
     """
-    seed = SeedStream(Purpose.CELLS).seed(0)
+    seed, of_segments = (SeedStream(Purpose.CELLS, draw=draw).seed(0) for draw in (0, 1))
     paths = LampRays(luminaire).draw(
-        _PATHS, seed, ending=EndingConfig(MAX_DEPTH, seed), largest_gain=LARGEST_GAIN
+        _PATHS, seed, ending=EndingConfig(MAX_DEPTH, of_segments), largest_gain=LARGEST_GAIN
     )
+    if not as_rows(paths.flux).any():
+        return LEAST_DEPTH
     assert paths.ending is not None
     finer = round(math.log2(1 / max(_spread(paths), 2.0**-MAX_DEPTH)))
     for depth in range(min(LEAST_DEPTH + finer, MAX_DEPTH), LEAST_DEPTH, -1):
