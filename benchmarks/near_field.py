@@ -185,11 +185,11 @@ def _paths_seconds(source: LuminaireSource, seed: int) -> float:
     from lumitree.trace.emitted_rays import as_rows
     from lumitree.trace.histograms import Histogram
     from lumitree.trace.lamp_rays import LampRays
-    from lumitree.trace.light_field_config import LightFieldFitConfig
+    from lumitree.trace.light_field_config import LEAST_DEPTH, LightFieldFitConfig
 
     luminaire, config = load_luminaire(source), LightFieldFitConfig()
     start = time.perf_counter()
-    rays, histogram = LampRays(luminaire), Histogram(config.depth, config.resolution)
+    rays, histogram = LampRays(luminaire), Histogram(LEAST_DEPTH, config.resolution)
     for step in range(-(-config.paths // config.batch)):
         paths = rays.draw(config.batch, seed + step)
         histogram.add(paths.origin, paths.direction, as_rows(paths.flux).T)

@@ -52,6 +52,7 @@ class Purpose(enum.IntEnum):
     # fields, step: sums at once; draw 2: points of a surface; draw 3: rays that find solids.
     ILLUMINANCE = 26
     SPECTRUM = 27  # flux of each emitter of a luminaire, by which its spectrum is weighted
+    CELLS = 28  # cells of a light field; draw 0: light paths, 1: which segments
 
 
 @dataclasses.dataclass(frozen=True)

@@ -34,7 +34,7 @@ from lumitree.formats.start_cells import StartCells
 from lumitree.formats.type_c import IntensityDistribution
 from lumitree.lamp.parts import WHITE
 from lumitree.trace.histograms import Histogram
-from lumitree.trace.light_field_config import LightFieldConfig
+from lumitree.trace.light_field_config import LEAST_DEPTH, LightFieldConfig
 
 Array = NDArray[np.float64]
 # Side of the box of a source without extent, m; and the shortest side, as a part of the longest.
@@ -159,12 +159,13 @@ def bake_rays(rays: Rays, name: str, config: LightFieldConfig) -> Asset:
         lower, upper = lower - POINT_SIZE / 2, upper + POINT_SIZE / 2
     frame = LocalFrame.of_box(lower, upper)
     origin = (rays.origin - frame.centre) / frame.scale
-    histogram = Histogram(config.depth, config.resolution)
+    depth = LEAST_DEPTH if config.depth is None else config.depth
+    histogram = Histogram(depth, config.resolution)
     histogram.add(
         on_device(mi.Point3f, origin), on_device(mi.Vector3f, rays.direction), rays.flux.T
     )
     intensity = intensity_of_histogram(histogram.flux) / frame.scale**2
-    field = make_light_field(histogram.cells, intensity, config.depth, absolute=True)
+    field = make_light_field(histogram.cells, intensity, depth, absolute=True)
     spectrum = None if rays.spectrum is None else EmittedSpectrum.of(rays.spectrum)
     return light_field_asset(field, frame, name, spectrum)
 

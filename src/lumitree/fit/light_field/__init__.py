@@ -1,7 +1,7 @@
 """The light field of a lamp, from light paths.
 
-`bake` makes it, a histogram that states what it was estimated from (`TracedPaths`). `inside` makes
-the light inside the lamp's box of the light that ends on the luminaire, `visibility` traces how
-much the luminaire's own surfaces leave free, and `codebook` stores curves over distance by their
-number.
+`grid` chooses the side of its cells. `bake` makes it, a histogram that states what it was estimated
+from (`TracedPaths`). `inside` makes the light inside the lamp's box of the light that ends on the
+luminaire, `visibility` traces how much the luminaire's own surfaces leave free, and `codebook`
+stores curves over distance by their number.
 """

@@ -14,6 +14,7 @@ from lumitree.core.octahedral import intensity_of_histogram, own_solid_angles, s
 from lumitree.core.photometry import luminance
 from lumitree.core.progress import progress
 from lumitree.fit.light_field.batches import num_batches, path_batches
+from lumitree.fit.light_field.grid import grid_depth
 from lumitree.fit.light_field.inside import DISTANCES, make_entries
 from lumitree.fit.light_field.saved_field import SavedLightField
 from lumitree.fit.light_field.visibility import unoccluded
@@ -47,13 +48,14 @@ def bake_light_field(
     saved = SavedLightField(folder, luminaire, config)
     if (field := saved.load()) is not None:
         return field
-    histogram = Histogram(config.depth, config.resolution)
-    ending = EndingHistogram(config.depth, config.resolution // 2, len(DISTANCES))
+    depth = grid_depth(luminaire) if config.depth is None else config.depth
+    histogram = Histogram(depth, config.resolution)
+    ending = EndingHistogram(depth, config.resolution // 2, len(DISTANCES))
     batches = num_batches(config)
     by_direction = []
     with (
         progress(f"light of {luminaire.name}", batches) as advance,
-        path_batches(luminaire, config, workers) as traced_batches,
+        path_batches(luminaire, config, depth, workers) as traced_batches,
     ):
         for batch in traced_batches:
             rays, ends = batch.leaving, batch.ending
@@ -70,7 +72,7 @@ def bake_light_field(
         noise=relative_noise(np.array(by_direction) / own_solid_angles(config.resolution)),
     )
     intensity = intensity_of_histogram(histogram.flux)
-    field = make_light_field(histogram.cells, intensity, config.depth, traced)
+    field = make_light_field(histogram.cells, intensity, depth, traced)
     entries = make_entries(field, ending.cells, ending.flux, ending.by_reach)
     free, other = unoccluded(luminaire, entries, config.seed)
     inside = entries.encoded(free, other, config.seed)

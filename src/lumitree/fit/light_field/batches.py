@@ -20,7 +20,7 @@ from lumitree.trace.light_field_config import LightFieldFitConfig
 
 # A bin has about ten paths, so that one with a larger gain would stand out; above it is 0.1 to
 # 0.2 % of a lamp's flux.
-_LARGEST_GAIN = 8.0
+LARGEST_GAIN = 8.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,20 +38,21 @@ class PathBatch:
 
 @contextlib.contextmanager
 def path_batches(
-    luminaire: Luminaire, config: LightFieldFitConfig, workers: LampWorkers | None
+    luminaire: Luminaire, config: LightFieldFitConfig, depth: int, workers: LampWorkers | None
 ) -> Iterator[Iterator[PathBatch]]:
     """Context with all batches of a light field, in order.
 
     Args:
         luminaire: what is traced.
         config: how.
+        depth: of the grid.
         workers: what traces it. The batches are the same. Default: this process.
     """
     if workers is None:
         rays = LampRays(luminaire)
-        yield (_traced(rays, config, step) for step in range(num_batches(config)))
+        yield (_traced(rays, config, depth, step) for step in range(num_batches(config)))
         return
-    tasks = [(workers.luminaire, config, step) for step in range(num_batches(config))]
+    tasks = [(workers.luminaire, config, depth, step) for step in range(num_batches(config))]
     with run_tasks(
         workers.executor,
         _traced_by_worker,
@@ -69,22 +70,24 @@ def num_batches(config: LightFieldFitConfig) -> int:
     return -(-config.paths // config.batch)
 
 
-def _traced(rays: LampRays, config: LightFieldFitConfig, step: int) -> PathBatch:
-    segments = EndingConfig(config.depth, SeedStream(Purpose.ENDING, step).seed(config.seed))
+def _traced(rays: LampRays, config: LightFieldFitConfig, depth: int, step: int) -> PathBatch:
+    segments = EndingConfig(depth, SeedStream(Purpose.ENDING, step).seed(config.seed))
     seed = SeedStream(Purpose.LIGHT_FIELD, step).seed(config.seed)
-    paths = rays.draw(config.batch, seed, ending=segments, largest_gain=_LARGEST_GAIN)
+    paths = rays.draw(config.batch, seed, ending=segments, largest_gain=LARGEST_GAIN)
     assert paths.ending is not None
     flux, ends = (as_rows(each.flux).T.astype(np.float32) for each in (paths, paths.ending))
     places = SeedStream(Purpose.ENDING, step, 2).seed(config.seed)
     return PathBatch(
-        bin_rays(paths.origin, paths.direction, flux, config.depth, config.resolution),
-        bin_segments(paths.ending, ends, config.depth, config.resolution // 2, DISTANCES, places),
+        bin_rays(paths.origin, paths.direction, flux, depth, config.resolution),
+        bin_segments(paths.ending, ends, depth, config.resolution // 2, DISTANCES, places),
     )
 
 
-def _traced_by_worker(luminaire: bytes, config: LightFieldFitConfig, step: int) -> PathBatch:
+def _traced_by_worker(
+    luminaire: bytes, config: LightFieldFitConfig, depth: int, step: int
+) -> PathBatch:
     """The task of a worker: one batch."""
-    return _traced(_rays(luminaire), config, step)
+    return _traced(_rays(luminaire), config, depth, step)
 
 
 @functools.lru_cache(maxsize=1)
