@@ -161,7 +161,7 @@ def measure(
     import mitsuba as mi
 
     import lumitree
-    from lumitree.measure.illuminance.received import received_irradiance
+    from benchmarks.inside_box.received import received_irradiance
     from lumitree.rendering.placement import Placement
     from lumitree.rendering.scene import PlacedLuminaire, place_luminaires
 

@@ -89,7 +89,8 @@ def open_scene_file(source: LuminaireSource) -> SceneFile:
     _check_emitters(file)
     for node in file.nodes("Emitter"):
         # All emitters of a lamp count; the weight is for scenes.
-        node.props.remove_property("sampling_weight")
+        if "sampling_weight" in node.props:
+            del node.props["sampling_weight"]
     return file
 
 
