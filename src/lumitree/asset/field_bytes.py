@@ -68,16 +68,7 @@ def field_description(asset: Asset) -> dict[str, int]:
 def build_field(
     description: Record, l_max: int, tensors: dict[str, NDArray[Any]]
 ) -> dict[str, NDArray[Any]]:
-    """`children`, `density` and `coefficients` of a file; the inverse of `field_tensors`.
-
-    Args:
-        description: what the file states of the field.
-        l_max: its highest band.
-        tensors: all tensors of the file.
-
-    Raises:
-        LumitreeError: the field is invalid.
-    """
+    """`children`, `density` and `coefficients` of a file; the inverse of `field_tensors`."""
     expect("asset", 0 <= l_max <= MAX_L, f"l_max {l_max!r}, expected 0 to {MAX_L}")
     description.expect_keys(*_KEYS)
     nodes, leaves = (description.integer(key) for key in _KEYS)
@@ -102,11 +93,7 @@ def field_codes(asset: Asset, steps: Steps = STEPS) -> dict[str, NDArray[Any]]:
 
 
 def field_of_codes(codes: dict[str, NDArray[Any]], steps: Steps = STEPS) -> dict[str, NDArray[Any]]:
-    """The field of the arrays of a stream; the inverse of `field_codes`.
-
-    Raises:
-        LumitreeError: the arrays are no field.
-    """
+    """The field of the arrays of a stream, checked; the inverse of `field_codes`."""
     return {
         "children": _children(codes["occupied"], codes["ends"], len(codes["density"])),
         "density": densities(codes["density"]),

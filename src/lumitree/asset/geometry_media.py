@@ -54,13 +54,7 @@ def described_medium(medium: SideMedium) -> Any:
 
 
 def check_medium(record: Record, side: str, of: str) -> None:
-    """Refuse what is not a medium.
-
-    Args:
-        record: of a shape.
-        side: member of the record.
-        of: type of the shape, for messages.
-    """
+    """Refuse an invalid medium; `side` is its key in the record of a shape of type `of`."""
     if not record.is_object(side):
         _check_coefficient(record, side, f"{side} of a {of}")
         return

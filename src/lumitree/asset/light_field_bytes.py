@@ -48,15 +48,7 @@ def light_field_description(field: LightField) -> dict[str, Any]:
 
 
 def build_light_field(description: Record, tensors: dict[str, NDArray[Any]]) -> LightField:
-    """The field of a file; the inverse of `light_field_tensors` and `light_field_description`.
-
-    Args:
-        description: what the file states of it.
-        tensors: all tensors of the file.
-
-    Raises:
-        LumitreeError: the field is invalid.
-    """
+    """The field of a file; the inverse of `light_field_tensors` and `light_field_description`."""
     description.expect_keys(*_KEYS, *_COUNTS, optional=("traced", "inside", "absolute"))
     resolution = description.integer("resolution")
     own, inside_counts = None, {}

@@ -74,14 +74,6 @@ def spectrum_description(spectrum: EmittedSpectrum) -> dict[str, Any]:
 
 
 def build_spectrum(description: Record, tensors: dict[str, NDArray[Any]]) -> EmittedSpectrum:
-    """The spectrum of a file; the inverse of `spectrum_tensors` and `spectrum_description`.
-
-    Args:
-        description: what the file states of it.
-        tensors: all tensors of the file.
-
-    Raises:
-        LumitreeError: the spectrum is invalid.
-    """
+    """The spectrum of a file; the inverse of `spectrum_tensors` and `spectrum_description`."""
     description.expect_keys("share")
     return EmittedSpectrum(tensors["spectrum.power"], description.number("share"))

@@ -40,17 +40,7 @@ _CHANGED = 0.01
 
 
 def bake_gldf(path: str | os.PathLike[str], chosen: str | None = None) -> Asset:
-    """Asset of a variant of a GLDF file.
-
-    Warns of what the asset lacks.
-
-    Args:
-        path: of the file.
-        chosen: id or name of the variant. Default: the first.
-
-    Raises:
-        LumitreeError: the file is damaged or incomplete, has no such variant, or emits nothing.
-    """
+    """Asset of a variant of a GLDF file, by its id or name, or of the first; warns of omissions."""
     archive = Archive.open(path, KIND)
     variant = read_variant(archive, path, chosen)
     with scratch_folder() as folder:

@@ -46,11 +46,7 @@ class Numbers:
 
 
 def read_numbers(text: str, has_tilt: bool) -> Numbers:
-    """Numbers of the text after the line TILT=, whatever its commas mean.
-
-    Raises:
-        LumitreeError: they are cut off, not finite, or may be read in two ways.
-    """
+    """Numbers of the text after the line TILT=; commas of more than one meaning are refused."""
     if "," not in text:
         return _take_numbers(text.split(), has_tilt)
     readings = (_spaced(text).split(), [word.strip(",").replace(",", ".") for word in text.split()])
@@ -73,11 +69,7 @@ def read_numbers(text: str, has_tilt: bool) -> Numbers:
 
 
 def read_tilt(text: str) -> Tilt:
-    """The table of a TILT file.
-
-    Raises:
-        LumitreeError: it is damaged.
-    """
+    """The table of a TILT file."""
     return _take_tilt(_leading(_spaced(text).split()))[0]
 
 

@@ -46,15 +46,9 @@ def l3d_geometry(
 ) -> Geometry:
     """Parts and materials of a luminaire, in metres, y up.
 
-    Args:
-        archive: the L3D file.
-        model: its structure.
-        lumens: luminous flux of light emitting objects by name; faces of others do not emit.
-        folder: an empty one, for the files of the models.
-
-    Raises:
-        LumitreeError: a model is missing, damaged, larger than 32 MiB, 2²⁰ lines or 2²¹ corners of
-            faces; or there are more than 2¹⁹ triangles, or 2²⁴ pixels of images.
+    Only faces of the light emitting objects in `lumens` (lm) emit. The files of the models are
+    written to `folder`, which is empty. A model has at most 32 MiB, 2²⁰ lines and 2²¹ corners of
+    faces; a luminaire 2¹⁹ triangles and 2²⁴ pixels of images.
     """
     return _Builder(archive, model, lumens, folder).build()
 
@@ -192,12 +186,8 @@ def _marked(
 ) -> bytes:
     """The text of an OBJ model in which faces of each light use a material of their own.
 
-    Faces are counted from 0 within their group; a model without groups is one.
-
-    Args:
-        content: of the file.
-        lights: group, first and last face of each range by the index of the light.
-        libraries: whether there are MTL files; else the text names none of its own.
+    Faces are counted from 0 within their group; a model without groups is one. `lights` has group,
+    first and last face of each range. Without `libraries` the text names no MTL file.
     """
     lines = in_utf8(content).replace(b"\\\n", b" ").split(b"\n", _MAX_LINES)
     places = _face_places(lines) if len(lines) <= _MAX_LINES else []

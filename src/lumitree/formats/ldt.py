@@ -292,11 +292,7 @@ class _Reader:
         return c, gamma, values.reshape(held, angles)
 
     def _numbers(self, start: int) -> tuple[NDArray[np.float64], str]:
-        """Numbers after the direct ratios, which are on ten lines or on fewer, and what ends them.
-
-        Args:
-            start: lines before the direct ratios.
-        """
+        """Numbers after the direct ratios, which are on ten lines or fewer, and what ends them."""
         ratios = self._lines[start : start + _NUM_RATIOS]
         by_line = all(len(line.split()) <= 1 for line in ratios)
         first = start + _NUM_RATIOS if by_line else start

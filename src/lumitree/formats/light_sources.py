@@ -110,13 +110,7 @@ class LightSource:
 def bake_sources(sources: Sequence[LightSource], frame: LocalFrame, name: str) -> Asset:
     """Asset that emits what sources emit, with R = G = B.
 
-    Args:
-        sources: of the lamp.
-        frame: local frame of the lamp, without rotation, whose box contains their openings.
-        name: of the lamp.
-
-    Raises:
-        LumitreeError: nothing is emitted.
+    `frame` is without rotation, and its box contains the openings of the sources.
     """
     sources = [source for source in sources if source.lumens > 0]
     if not sources:
@@ -217,8 +211,7 @@ class _Starts:
     def shares(self, limit: int) -> tuple[Codes, Array]:
         """Indices [C] of cells, and the part [C, B or 1] of the light of each coarse bin there.
 
-        Args:
-            limit: number of cells. If there are more, some of them are returned, without light.
+        If there are more than `limit` cells, some of them are returned, without light.
         """
         column = np.full(self._cells.side**3, -1)
         codes = np.zeros(0, np.int64)

@@ -84,13 +84,10 @@ def one_line(text: str) -> str:
 
 
 def date_of_writing() -> datetime.datetime:
-    """The date that a written file states.
+    """The date that a written file states: now, or SOURCE_DATE_EPOCH, seconds since 1970.
 
-    That of now, or of the environment variable SOURCE_DATE_EPOCH, seconds since 1970, with which
-    equal commands write equal files at any time (https://reproducible-builds.org).
-
-    Raises:
-        LumitreeError: the variable is not a number of seconds.
+    With this environment variable equal commands write equal files at any time
+    (https://reproducible-builds.org).
     """
     seconds = os.environ.get("SOURCE_DATE_EPOCH")
     if seconds is None:
@@ -104,13 +101,9 @@ def date_of_writing() -> datetime.datetime:
 
 
 def warn_of_flux(path: str | os.PathLike[str], lumens: float, stated: float, what: str) -> None:
-    """Warn of intensities whose flux is not what their file states.
+    """Warn of intensities whose flux, lm, is not what their file states; 0 if it states none.
 
-    Args:
-        path: of the file.
-        lumens: luminous flux of the intensities, lm.
-        stated: flux that the file states, lm; 0 if it states none.
-        what: how the file states it, for the message, such as "where it states 500 lm".
+    `what` says how the file states it, such as "where it states 500 lm".
     """
     if min(stated, lumens) > 0 and abs(lumens - stated) > _FLUX_ERROR * stated:
         warn_of_file(

@@ -46,12 +46,11 @@ class SurfacePoint:
     # fmt: on
 
     def towards(self, it: mi.Interaction3f) -> tuple[mi.DirectionSample3f, mi.Float]:
-        """Direction from a vertex to the point, whose `si.wi` is turned to the vertex.
+        """Direction from a vertex to the point, whose `si.wi` is turned to the vertex; and its PDF.
 
-        Returns:
-            The direction, and its density per steradian. `DirectionSample3f.pdf` is left for the
-            caller: `pdf_direction` does not know the triangle, so weights of multiple importance
-            sampling use another density, on both sides. They add up to 1 with any.
+        `DirectionSample3f.pdf` is left for the caller: `pdf_direction` does not depend on the
+        triangle, so weights of multiple importance sampling use another density, on both sides.
+        They add up to 1 with any.
         """
         ds, si = dr.zeros(mi.DirectionSample3f), self.si
         ds.p, ds.n, ds.uv, ds.time = si.p, si.sh_frame.n, si.uv, it.time

@@ -35,9 +35,6 @@ class MaskedEmission:
 
         The mean of an opacity whose texture coordinates are not those of the radiance, after a
         warning.
-
-        Raises:
-            LumitreeError: the products of the model are too large.
         """
         radiance, opacity = material.radiance, material.opacity
         if radiance is None or (not isinstance(opacity, Texture) and opacity == 0):

@@ -169,11 +169,7 @@ class _Point:
         self.pmf = [dr.select(total > 0, weight / total, 0) for weight in weights]
 
     def scattered(self, cosine: mi.Float) -> tuple[mi.Spectrum, mi.Spectrum, mi.Float]:
-        """What a microfacet does with light at an angle to its normal.
-
-        Returns:
-            Factors of reflected and of transmitted light; and the probability of a reflection.
-        """
+        """Factors of reflected and transmitted light of a microfacet; probability of reflection."""
         bsdf, grazing = self.bsdf, _schlick(cosine)
         layer = self.layer(1 - grazing, grazing)
         reflected = self.metal * (self.base * (1 - grazing) + grazing) + self.opaque * layer

@@ -27,11 +27,7 @@ from lumitree.lamp.spectra import spectra_of_emitters
 
 
 def refuse_kind(source: object, what: str) -> NoReturn:
-    """Refuse a scene or a luminaire that is neither a name nor a dictionary.
-
-    Args:
-        what: "a scene" or "a luminaire".
-    """
+    """Refuse `what`, "a scene" or "a luminaire", that is neither a name nor a dictionary."""
     kind = type(source)
     if kind.__name__ == "Scene" and kind.__module__.startswith("mitsuba"):
         raise LumitreeError(

@@ -61,9 +61,7 @@ class SceneShape:
 def shape_of_node(number: int, key: str, node: Any, file: Any) -> SceneShape:
     """The shape of a node of a `SceneFile`, before it is created.
 
-    Args:
-        number: see `SceneShape`.
-        key: under which the scene holds the node: the attribute `name`, or made by Mitsuba.
+    The scene holds it under `key`: the attribute `name`, or made by Mitsuba.
     """
     types = load_mitsuba().ObjectType
     held = file.children(node.props).values()

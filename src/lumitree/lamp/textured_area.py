@@ -17,11 +17,7 @@ _registered: set[str | None] = set()
 
 
 def replace_textured_areas(state: Any) -> None:
-    """Let area emitters with a texture be emitters `lumitree_area`.
-
-    Args:
-        state: mi.parser.ParserState of a scene, whose nodes are changed.
-    """
+    """Let area emitters with a texture in a mi.parser.ParserState be emitters `lumitree_area`."""
     for node in state.nodes:
         props = node.props
         if node.type == mi.ObjectType.Emitter and props.plugin_name() == "area":

@@ -75,13 +75,7 @@ def pendant(length: float) -> tuple[Mesh, Mesh]:
 
 
 def swag(start: ArrayLike, end: ArrayLike, sag: float, spacing: float) -> tuple[Mesh, Mesh]:
-    """String of beads that hangs between two points; glass and pins.
-
-    Args:
-        start, end: [3] points, metres.
-        sag: how far the middle hangs below the straight line, metres.
-        spacing: of the beads along the string, metres.
-    """
+    """String of beads that hangs between two points [3] with the sag in its middle, in metres."""
     start, end = np.asarray(start, np.float64), np.asarray(end, np.float64)
     t = np.linspace(0, 1, 65)[:, None]
     line = start + t * (end - start) - [0, 1, 0] * (4 * sag * t * (1 - t))

@@ -82,12 +82,9 @@ class HangingBulb:
     def parts(
         self, prefix: str, sites: Sequence[Floats], glass: str, filament: str
     ) -> tuple[Part, ...]:
-        """Cap, glass, supports and filament at the sites.
+        """Cap, glass, supports and filament at the sites, `world_from_bulb` [4, 4].
 
-        Args:
-            prefix: of the parts' names.
-            sites: `world_from_bulb` [4, 4] of each copy.
-            glass, filament: names of materials; the others are "steel".
+        Materials other than `glass` and `filament` are "steel".
         """
         places = tuple(sites)
         return (
@@ -185,13 +182,7 @@ _FLAME = (
 
 
 def flame_bulb(prefix: str, sites: Sequence[Floats], glass: str, filament: str) -> tuple[Part, ...]:
-    """Candle bulb 0.1 m tall: glass, supports and filament at the sites.
-
-    Args:
-        prefix: of the parts' names.
-        sites: `world_from_flame` [4, 4] of each copy.
-        glass, filament: names of materials; the supports are "steel".
-    """
+    """Candle bulb 0.1 m tall with supports of "steel"; sites are `world_from_flame` [4, 4]."""
     places = tuple(sites)
     return (
         Part(f"{prefix}_glass", _flame_glass(), glass, places),

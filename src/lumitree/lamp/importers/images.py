@@ -27,12 +27,7 @@ _BLOCK_PIXELS = 2**20
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class DecodedImage:
-    """An image as its file encodes it.
-
-    Attributes:
-        pixels: [H, W, 4] R, G, B and opacity.
-        counts: [4, 256] how many pixels have each value.
-    """
+    """R, G, B and opacity [H, W, 4] as a file encodes them; how many pixels have each value."""
 
     pixels: NDArray[np.uint8]
     counts: NDArray[np.int64]
@@ -133,8 +128,7 @@ def by_rows(
 ) -> NDArray:
     """An array [H, W, C], computed block by block to bound the memory of intermediate results.
 
-    Args:
-        make: returns the array's rows of a slice.
+    `make` returns the rows of a slice.
     """
     result = np.empty(shape, dtype)
     step = max(1, _BLOCK_PIXELS // shape[1])

@@ -36,11 +36,7 @@ class GltfImages:
         self._document, self._images = document, images
 
     def texture(self, index: int) -> tuple[DecodedImage, Sampler] | str:
-        """Image of a texture, and its sampler; the name of a file that is missing.
-
-        Raises:
-            LumitreeError: a link out of the model's folder, damaged, or too large.
-        """
+        """Image of a texture, and its sampler; the name of a file that is missing."""
         texture = self._document.entry("textures", index)
         source = texture.index("source")
         if source is None and (webp := texture.extension("EXT_texture_webp")) is not None:

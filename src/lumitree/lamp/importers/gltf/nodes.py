@@ -29,11 +29,8 @@ class Node:
 def scene_nodes(document: Document) -> list[Node]:
     """Every node of the default scene, parents before children.
 
-    The default scene is the one the file names, else its first, else all root nodes.
-
-    Raises:
-        LumitreeError: the nodes do not form a forest (there is a cycle, or a node with several
-            parents), or they are nested too deeply.
+    The default scene is the one the file names, else its first, else all root nodes. Nodes must
+    form a forest of limited depth.
     """
     parents = _parents(document)
     pending = [(root, np.eye(4), 0) for root in reversed(_roots(document, parents))]

@@ -16,14 +16,7 @@ _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 def read_triangles(accessors: Accessors, primitive: Item, uv_set: int) -> Mesh | None:
     """A primitive's triangles, with normals; None where it holds points, lines or nothing.
 
-    Args:
-        accessors: of the file.
-        primitive: its JSON.
-        uv_set: number of the texture coordinates to read; they are absent where the primitive
-            has none of that number.
-
-    Raises:
-        LumitreeError: indices or attributes that do not fit together, or too many triangles.
+    Texture coordinates of the number `uv_set` are read; the mesh has none if they are missing.
     """
     attributes = primitive.item("attributes")
     mode = primitive.integer("mode", _TRIANGLES)

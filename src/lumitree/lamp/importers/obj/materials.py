@@ -190,8 +190,7 @@ class _Reader:
     ) -> Texture | None:
         """Texture of what `pick` takes out of a map's image; None for no map.
 
-        Args:
-            role: what `pick` depends on besides the image.
+        `role` is what `pick` depends on besides the image.
         """
         image = self._image(key)
         if image is None:

@@ -46,9 +46,6 @@ def build_meshes(file: ObjFile, emitting: Collection[str]) -> dict[int, Mesh]:
     material once in each winding, so that both sides emit. Closed pieces face outwards. Missing
     normals are computed, smooth only where the file names smoothing groups, as the format says. v
     is 0 at an image's first row.
-
-    Args:
-        emitting: names of materials that emit.
     """
     places = weld(file.positions)
     # One vertex stands for all those in its place.

@@ -65,11 +65,7 @@ class MtlMaterial:
 
 
 def parse_mtl(path: Path) -> dict[str, MtlMaterial]:
-    """Materials of an MTL file by name; the first of a name counts.
-
-    Raises:
-        LumitreeError: it is missing or larger than 16 MiB, or a line is wrong.
-    """
+    """Materials of an MTL file of at most 16 MiB by name; the first of a name counts."""
     materials: dict[str, MtlMaterial] = {}
     current = MtlMaterial()
     lines = in_utf8(read_bytes(path, "an MTL file", _MAX_BYTES)).split(b"\n")

@@ -21,15 +21,10 @@ _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
 def read_table(
     lines: list[bytes], key: bytes, fewest: int, error: Callable[[int, str], LumitreeError]
 ) -> tuple[Floats, bool]:
-    """The numbers of lines that begin with `key`.
+    """The numbers of lines that begin with `key`, and whether they have decimal commas.
 
-    Args:
-        fewest: numbers that each line must have.
-        error: makes an error of the number of a line and a message.
-
-    Returns:
-        Array [N, W], W at least `fewest`, NaN where a line has fewer numbers than others; and
-        whether they have decimal commas.
+    The array is [N, W], W at least `fewest`, which each line must have; NaN where a line has fewer
+    numbers than others. `error` takes the number of a line and a message.
     """
     if not lines:
         return np.zeros((0, fewest)), False

@@ -66,11 +66,7 @@ class ObjFile:
 
 
 def parse_obj(path: Path) -> ObjFile:
-    """Read an OBJ file.
-
-    Raises:
-        LumitreeError: it is missing, larger than 512 MiB, holds no faces, or a line is wrong.
-    """
+    """Read an OBJ file of at most 512 MiB with at least one face."""
     return _Parser(path).parse(read_bytes(path, "an OBJ file", MAX_MODEL_BYTES))
 
 
