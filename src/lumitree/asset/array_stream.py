@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from lumitree.errors import LumitreeError
 
-# Of the arrays of a stream together.
+# For all arrays of a stream together.
 MAX_BYTES = 1 << 31
 _LEVEL = 6
 

@@ -2,7 +2,7 @@
 
 The field is rounded. A density keeps 4 bits after its leading one, and a coefficient is a multiple
 of a step, which is smaller for leaves that emit much: their errors would not average out. R and B
-are stored as differences to G. What is rounded once is not changed by rounding it again.
+are stored as differences to G. Values rounded once are not changed by rounding them again.
 
 Symbols
     N   interior nodes          M   leaves          K   (l_max + 1)² coefficients per channel
@@ -61,7 +61,7 @@ def field_tensors(asset: Asset) -> dict[str, NDArray[Any]]:
 
 
 def field_description(asset: Asset) -> dict[str, int]:
-    """What the file states of a field besides its tensor."""
+    """Description of a field in the file, besides its tensor."""
     return {"nodes": len(asset.children), "leaves": asset.num_leaves}
 
 
@@ -125,7 +125,7 @@ def coefficient_codes(coefficients: NDArray[np.float16], steps: Steps = STEPS) -
     # In differences to G there is room for twice as much.
     largest = _LARGEST_CODE // 2 * steps.constant
     values[:, :1] = np.clip(values[:, :1], -largest, largest)
-    # Differences before rounding: those of grey leaves are all 0.
+    # Differences before rounding: grey leaves have only 0.
     values[..., ::2] -= values[..., 1:2]
     codes = np.empty(values.shape, np.int16)
     codes[:, :1] = _limited(values[:, :1] / steps.constant)

@@ -14,7 +14,7 @@ Symbols
 
 A receiver at distance r from a point of a cell gets I + J s, in which V is contained on average
 over the bin and the cell. Where the luminaire's surfaces are in the scene, it gets (I + J) V κ,
-which has the same mean, and the shadows are those of the surfaces.
+which has the same mean, and the shadows are the surfaces'.
 """
 
 import dataclasses

@@ -26,7 +26,7 @@ _ROUNDING = 1e-3
 
 @dataclasses.dataclass(frozen=True)
 class ImageFacts:
-    """What textures need to know of an image.
+    """Properties of an image that textures depend on.
 
     Attributes:
         sides: height and width.

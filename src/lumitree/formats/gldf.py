@@ -9,7 +9,7 @@ is the first part of its content type:
     image/, document/, ...
 
 The XML has variants of the product. A variant joins a geometry and emitters; an emitter has a
-photometry, a rotation and a luminous flux. In this module x, y and z are those of GLDF: z is up.
+photometry, a rotation and a luminous flux. In this module x, y and z are GLDF's: z is up.
 """
 
 import dataclasses

@@ -106,7 +106,7 @@ class _Bake:
         )
 
     def _factor(self, emitter: GldfEmitter, distribution: IntensityDistribution) -> float:
-        """Luminous flux of the light sources over that which the photometry was made with."""
+        """Luminous flux of the light sources over the flux that the photometry was made with."""
         reference = distribution.emitted_lumens or distribution.lumens
         if emitter.lumens is None or not reference > 0:
             return 1.0
@@ -165,5 +165,5 @@ class _Bake:
 
 
 def _read(path: Path) -> IntensityDistribution:
-    # What is none of them is refused as TM-33.
+    # Other files are refused as TM-33.
     return (read_photometry(path) or read_tm33(path))[0]

@@ -41,7 +41,7 @@ def edition(head: str) -> int:
 
 @dataclasses.dataclass(frozen=True)
 class SecondNumber:
-    """What the number after the ballast factor means.
+    """Meaning of the number after the ballast factor.
 
     Attributes:
         factor: on the intensities.

@@ -42,7 +42,7 @@ class LightObject:
 
     Attributes:
         name: by which GLDF refers to it.
-        place: [4, 4] from its frame to that of the luminaire, m.
+        place: [4, 4] from its frame to the luminaire's, m.
         opening: with y up, as photometric files have it, centred at the origin of its frame.
     """
 
@@ -78,7 +78,7 @@ class L3dPart:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class L3d:
-    """What an L3D file describes, with its joints as the file sets them."""
+    """The model of an L3D file, with its joints as the file sets them."""
 
     parts: tuple[L3dPart, ...]
     objects: tuple[LightObject, ...]

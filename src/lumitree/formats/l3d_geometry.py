@@ -2,7 +2,7 @@
 
 Faces that the file marks as luminous emit as Lambertian surfaces do, with the luminous flux of
 their light emitting object; an object without such faces emits from its own rectangle or disk. This
-light is for images of the luminaire alone. Materials are those of the MTL files; they emit nothing.
+light is for images of the luminaire alone. Materials are from the MTL files; they emit nothing.
 """
 
 import dataclasses
@@ -63,7 +63,7 @@ class _Builder:
         self._names, self._triangles, self._pixels = Names("-"), 0, 0
         self._parts: list[Part] = []
         self._materials: dict[str, Material] = {}
-        # Of luminous materials: the light emitting object, and the weight of its area.
+        # For luminous materials: the light emitting object, and the weight of its area.
         self._lit: dict[str, tuple[str, float]] = {}
 
     def build(self) -> Geometry:
@@ -164,7 +164,8 @@ class _Builder:
                     if self._pixels > _MAX_PIXELS:
                         raise LumitreeError(f"its images have more than {_MAX_PIXELS} pixels")
                     write_bytes(folder / name, data)
-            write_bytes(folder / _LIGHTS, b"".join(_mtl(index) for index, _ in lit))
+            mtl = "".join(f"newmtl {_LIGHT}{index}\nKd 0 0 0\nKe 1 1 1\n" for index, _ in lit)
+            write_bytes(folder / _LIGHTS, mtl.encode())
             libraries = any(name.lower().endswith(".mtl") for name in names)
             write_bytes(path, _marked(content, dict(lit), libraries))
             self._read[key] = read_obj(path)
@@ -175,10 +176,6 @@ def plain_name(name: str) -> str:
     """A name of a member of an archive, made fit for a file."""
     kept = "".join(char if char.isalnum() or char in " -_." else "_" for char in name[:80])
     return kept.strip(" .") or "file"
-
-
-def _mtl(index: int) -> bytes:
-    return f"newmtl {_LIGHT}{index}\nKd 0 0 0\nKe 1 1 1\n".encode()
 
 
 def _marked(

@@ -238,7 +238,7 @@ class _Reader:
         warn_of_flux(self._path, lumens, stated, what)
 
     def _opening(self) -> Opening:
-        """A width of 0 is that of a round area, whose diameter is the length."""
+        """A width of 0 means a round area, whose diameter is the length."""
         length, width = (abs(self._field(line)) / 1000 for line in (_LENGTH, _WIDTH))
         c0, c90, c180, c270 = (abs(self._field(line)) / 1000 for line in _HEIGHTS)
         height = max(c0, c90, c180, c270)

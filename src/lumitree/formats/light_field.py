@@ -78,7 +78,7 @@ def _flat_shares(
 ) -> tuple[int, NDArray[np.int64], NDArray[np.float64]]:
     """Depth of a grid, cells [C, 3], and their parts [C] of the opening, for all directions."""
     if opening.shape == "box":
-        # What is even over the box is exact with cells of any size.
+        # Light that is even over the box is exact with cells of any size.
         return 1, np.indices((2, 2, 2)).reshape(3, -1).T, np.full(8, 1 / 8)
     points, areas = opening.surface()
     side = 1 << _DISK_DEPTH

@@ -5,7 +5,7 @@ file does, see `light_field`. Light that leaves the lamp may start anywhere on i
 opening is nearer to a face of the box than the middle of the last cells, the light starts before or
 behind it, at the next place that can be the mean of cells. Along an axis over which an opening
 extends far, cells have the part of it that is in them, which blurs its edges by a cell; along
-another one the mean place of the cells is that of the opening.
+another one the mean place of the cells is the opening's.
 
 Symbols
     C   cells           R   bins of direction a side

@@ -1,7 +1,7 @@
 """The luminous opening of a photometric file: the surface that its light comes from.
 
 Photometric files state the sides of the opening, and its shape by their signs or by zeros. The
-frame is that of a luminaire's file, see `type_c`: x along C = 0, y up, z along C = 270.
+frame is the luminaire file's, see `type_c`: x along C = 0, y up, z along C = 270.
 """
 
 import dataclasses

@@ -37,6 +37,6 @@ def read_again(path: str | os.PathLike[str]) -> IntensityDistribution | None:
 
 
 def details_of(path: str | os.PathLike[str]) -> Mapping[str, str]:
-    """What a photometric file states of how it was made; empty for other files."""
+    """How a photometric file states that it was made; empty for other files."""
     distribution = read_again(path) if photometric_suffix(path) in _READERS else None
     return {} if distribution is None else distribution.details

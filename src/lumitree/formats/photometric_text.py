@@ -24,7 +24,7 @@ _TEXT = 78
 
 
 def read_text(path: str | os.PathLike[str], kind: str, parse: Callable[[str], T]) -> T:
-    """What `parse` makes of the text of a file; its errors name the file.
+    """Result of `parse` for the text of a file; its errors name the file.
 
     Args:
         path: of the file.

@@ -30,8 +30,7 @@ class StartCells:
     def around(
         self, start: Array, widths: Widths = (None, None, None)
     ) -> Iterator[tuple[Codes, Array]]:
-        """Index [...] (x slowest) of each of the eight cells around a start, and its part [...] of
-        it.
+        """Index [...] (x slowest) of each of the eight cells around a start, and its part of it.
 
         Starts [..., 3] and widths are in local units. A start stands for a width along each axis,
         at most the width of a cell, and each cell gets what of it is inside. With None, the mean

@@ -43,7 +43,7 @@ _SYMMETRIES: dict[tuple[float, float], tuple[float, ...]] = {
 
 
 def completed(c: Array, gamma: Array, intensity: Array) -> tuple[Array, Array, Array]:
-    """Angles and intensities of the whole sphere from those of a Type C file.
+    """Angles and intensities of the whole sphere from a Type C file's.
 
     One plane stands for rotational symmetry. Planes over a quarter or a half of the circle stand
     for symmetry about one or both of the planes C = 0 and C = 90. Where a file has no γ, it is

@@ -41,7 +41,7 @@ class SurfacePoint:
     # fmt: off
     si: mi.SurfaceInteraction3f  # As a ray that hits the point along -n has it
     density: mi.Float            # Probability per unit of area; 0 where nothing was sampled
-    index: mi.UInt32             # Of the shape
+    index: mi.UInt32             # of the shape
     emitter: mi.EmitterPtr
     # fmt: on
 

@@ -19,7 +19,7 @@ def origin_near(box: NDArray[np.float64], tolerance: float = 1) -> NDArray[np.fl
         size = tolerance * np.ptp(box, axis=0).max()
     if not np.isfinite(box).all() or not is_far(box, size):
         return np.zeros(3)
-    # What float32 represents exactly, so that vertices of mesh files are moved exactly.
+    # Exact in float32, so that vertices of mesh files are moved exactly.
     return box.mean(axis=0).astype(np.float32).astype(np.float64)
 
 

@@ -44,7 +44,7 @@ _DEFAULTS = {
 # Reflectance of the clear coat at normal incidence; and a bound of the variance of Schlick's factor
 # over the hemisphere: two layers transmit more than the product of their mean transmittances.
 _COAT, _COAT_VARIANCE = 0.04, 0.0145
-# Numbers of the lobes; the coat's is that of the facets for Mitsuba.
+# Numbers of the lobes; Mitsuba gets the facets' number for the coat.
 _BASE, _FACET, _BEHIND, _CROSSED, _OF_COAT = range(5)
 
 
@@ -70,7 +70,7 @@ class _Point:
         self.inside = below & (bsdf.glass is not None)
         self.active = active & (si.wi.z != 0 if bsdf.has_back else si.wi.z > 0)
         self.radiance = ctx.mode == mi.TransportMode.Radiance
-        # Of base, facets, base behind, crossed and coat.
+        # For base, facets, base behind, crossed and coat.
         used = [ctx.is_enabled(kind, i) for i, kind in enumerate(bsdf.kinds)]
         self.enabled = [*used, *[False] * (_OF_COAT - len(used)), used[_FACET]]
         self._read(si)

@@ -33,7 +33,7 @@ _NOT_LUMINAIRES: dict[str, str] = {
 _INVISIBLE = ("directionalarea",)
 
 
-# Of a version of a file: its path, time, size and inode.
+# A version of a file: its path, time, size and inode.
 Stamp = tuple[str, int, int, int]
 Opened = str | os.PathLike[str] | LuminaireSource | Mapping[str, Any]
 

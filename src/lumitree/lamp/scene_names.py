@@ -33,7 +33,7 @@ def scene_names(path: Path) -> SceneNames:
 
 
 def _add_names(path: Path, folder: Path, names: SceneNames) -> None:
-    """Add what a scene names; `folder` is that of the outermost one."""
+    """Add what a scene names; `folder` is the outermost scene's."""
     names.files.add(path)
     included = []
 

@@ -21,7 +21,7 @@ def spectra_of_emitters(file: Any) -> dict[str, Samples]:
     Black bodies must still be in the file.
     """
     emitters = file.nodes("Emitter")
-    # Of a dictionary, several may have one.
+    # In a dictionary, several may have one.
     ids = collections.Counter(node.props.id() for node in emitters)
     found = {}
     for number, node in enumerate(emitters):

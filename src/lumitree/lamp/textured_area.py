@@ -97,7 +97,7 @@ def _emitter_class() -> type:
             return si.spawn_ray(si.to_world(local)), weight
 
         def sample_position(self, time, sample, active=True):
-            # Of light tracing, where it connects the surface with the camera.
+            # For light tracing, where it connects the surface with the camera.
             ps = self.get_shape().sample_position(time, sample, active)
             return ps, dr.select(ps.pdf > 0, dr.rcp(ps.pdf), 0)
 

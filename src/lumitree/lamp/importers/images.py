@@ -119,7 +119,7 @@ def num_pixels(data: bytes) -> int:
     except Image.DecompressionBombError:
         return MAX_IMAGE_PIXELS
     except Exception:
-        # What decodes the image says what is wrong with it.
+        # The decoder says what is wrong with it.
         return 0
 
 

@@ -25,7 +25,7 @@ def selected(mesh: Mesh, keep: NDArray[np.bool_]) -> Mesh:
 def with_backs(mesh: Mesh, doubled: NDArray[np.bool_], distance: float) -> Mesh:
     """The mesh and a second, reversed copy of the faces that `doubled` [F] marks.
 
-    A surface emits from its front alone; with its copy it emits from both sides. Of two faces in
+    A surface emits from its front alone; with its copy it emits from both sides. With two faces in
     one place a ray would hit either, so the copy lies behind by a distance in the mesh's unit.
     """
     back = selected(mesh, doubled)

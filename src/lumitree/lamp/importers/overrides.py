@@ -1,4 +1,4 @@
-"""Settings that replace or complete those of a model's file: materials, emission, unit, up axis."""
+"""Settings that replace or complete a model's file: materials, emission, unit, up axis."""
 
 import dataclasses
 import warnings

@@ -82,7 +82,7 @@ def _cut(points: Floats) -> Indices:
 
 
 def _left_out(triangles: list[tuple[int, ...]], size: int) -> list[tuple[int, ...]]:
-    """Triangles between the polygon's outline and that of `triangles`.
+    """Triangles between the polygon's outline and the outline of `triangles`.
 
     earcut drops corners of 180 degrees. If an edge of a neighbouring polygon ends in such a corner,
     the surface is then not closed. The outlines differ by closed loops, nearly always without area.

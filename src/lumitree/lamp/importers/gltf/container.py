@@ -106,7 +106,7 @@ class Document:
         return not uri.startswith("data:") and self._file(uri, item) is None
 
     def resource(self, item: Item) -> bytes:
-        """What an item's `uri` names: a data URI, or a file in the model's folder."""
+        """Content of an item's `uri`: a data URI, or a file in the model's folder."""
         uri = item.string("uri", "")
         if uri.startswith("data:"):
             return _data_uri(uri, item)

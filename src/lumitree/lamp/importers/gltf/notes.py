@@ -1,4 +1,4 @@
-"""What was approximated or ignored while a file was read, to be reported at the end."""
+"""Approximations and omissions while a file was read, to be reported at the end."""
 
 from collections.abc import Iterator
 

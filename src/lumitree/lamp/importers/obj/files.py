@@ -68,7 +68,7 @@ class ObjFolder:
         image: DecodedImage,
         make: Callable[[DecodedImage], NDArray],
     ) -> NDArray:
-        """What `make` makes of the image called `name`, once for each role."""
+        """Result of `make` for the image called `name`, once for each role."""
         height, width = image.pixels.shape[:2]
         size = _PIXEL_BYTES * height * width
         return self._images.made((name, role), size, shown(name), lambda: make(image))

@@ -103,7 +103,7 @@ def _cut(
 def _mesh(
     file: ObjFile, places: Indices, positions: Floats, triangles: _Triangles, name: str
 ) -> Mesh:
-    """Mesh of one material; `positions` are those of the places.
+    """Mesh of one material; `positions` are of the places.
 
     Everything is numbered anew first: work on what other materials use would be quadratic.
     """
