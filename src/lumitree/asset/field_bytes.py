@@ -109,11 +109,7 @@ def density_codes(density: NDArray[np.float32]) -> NDArray[np.uint16]:
 
 
 def densities(codes: NDArray[np.uint16]) -> NDArray[np.float32]:
-    """Densities [M] of codes [M].
-
-    Raises:
-        LumitreeError: a code has too many bits.
-    """
+    """Densities [M] of codes [M]; one with too many bits is refused."""
     if (codes >> (32 - DENSITY_SHIFT)).any():
         raise LumitreeError(f"a density of more than {32 - DENSITY_SHIFT} bits")
     return (codes.astype(np.uint32) << DENSITY_SHIFT).view(np.float32)

@@ -129,12 +129,7 @@ class LightInside:
     def check_beside(
         self, cells: NDArray[np.uint8], lit: NDArray[np.uint8], depth: int, resolution: int
     ) -> None:
-        """Refuse it beside a light field that it does not fit; arguments as its members.
-
-        Raises:
-            LumitreeError: bins are of another number, a cell is outside the grid, or a bin that
-                emits has no entry.
-        """
+        """Refuse it beside a light field that it does not fit; arguments as its members."""
         bins = (resolution // 2) ** 2
         expect_arrays(
             "light inside the box", {"lit": (self.lit, np.uint8, (len(self.cells), -(-bins // 8)))}

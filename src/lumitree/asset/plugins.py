@@ -47,11 +47,7 @@ class Kind:
         return " or ".join(forms)
 
     def accepts(self, value: Any, images: Sequence[ImageFacts]) -> bool:
-        """Whether a value, as `json.loads` returns it, is one of these.
-
-        Raises:
-            LumitreeError: it is a texture that is not of the kind; the message says why.
-        """
+        """Whether a value, as `json.loads` returns it, is one of these; a wrong texture raises."""
         if isinstance(value, bool):
             return self.boolean
         if isinstance(value, str):

@@ -43,10 +43,8 @@ def edition(head: str) -> int:
 class SecondNumber:
     """Meaning of the number after the ballast factor.
 
-    Attributes:
-        factor: on the intensities.
-        generation: file generation type, a key of `GENERATIONS`; None if there is none.
-        remark: which of several readings is taken; empty if there is only one.
+    `factor` is on the intensities, `generation` a key of `GENERATIONS`. `remark` says which of
+    several readings is taken; it is empty if there is only one.
     """
 
     factor: float = 1.0

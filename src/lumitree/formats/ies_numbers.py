@@ -26,14 +26,8 @@ class Tilt:
 class Numbers:
     """The numbers of a file.
 
-    Attributes:
-        tilt: table of TILT=INCLUDE.
-        header: the first 13.
-        second_number: text of the number after the ballast factor, with a decimal point.
-        vertical: [V] angles, degrees.
-        horizontal: [H] angles, degrees.
-        intensity: [H, V] as the file has them.
-        surplus: how many other numbers follow.
+    Angles [V] and [H], degrees, and intensities [H, V] are as the file has them. `header` has the
+    first 13, `surplus` says how many other numbers follow.
     """
 
     tilt: Tilt | None

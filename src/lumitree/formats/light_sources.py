@@ -89,12 +89,8 @@ class LightSource:
     def surface(self, cell: float) -> tuple[Array, Array | None, Array]:
         """Points [N, 3] in the frame of the lamp's file, m, area vectors [N, 3], and widths [3].
 
-        Args:
-            cell: side of a cell, m.
-
-        Returns:
-            Points; their area vectors, or None if each stands for an equal area, and light of all
-            directions leaves from all points evenly; and the extent of what a point stands for.
+        Without area vectors each point stands for an equal area, and light of all directions leaves
+        from all points evenly. Widths are the extent of what a point stands for.
         """
         turn, sides = self._turn, self._sides
         opening = Opening((float(sides[0]), float(sides[1]), float(sides[2])))

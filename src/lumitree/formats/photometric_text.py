@@ -24,16 +24,7 @@ _TEXT = 78
 
 
 def read_text(path: str | os.PathLike[str], kind: str, parse: Callable[[str], T]) -> T:
-    """Result of `parse` for the text of a file; its errors name the file.
-
-    Args:
-        path: of the file.
-        kind: of file, for messages.
-        parse: takes text whose lines end in \\n, and raises `LumitreeError`.
-
-    Raises:
-        LumitreeError: the file is missing, too large, or `parse` refuses it.
-    """
+    """Result of `parse` for the text of a file, whose lines end in \\n; errors name the file."""
     text = decoded(read_bytes(path, f"an {kind}", MAX_FILE_BYTES))
     try:
         # Numbers of any size are checked where they are used.
@@ -53,11 +44,7 @@ def decoded(content: bytes) -> str:
 
 
 def number(text: str, what: str) -> float:
-    """A number with a decimal point or comma.
-
-    Raises:
-        LumitreeError: it is none, or not finite.
-    """
+    """A finite number with a decimal point or comma."""
     try:
         value = float(text.replace(",", "."))
     except ValueError:
@@ -68,11 +55,7 @@ def number(text: str, what: str) -> float:
 
 
 def integer(value: float, what: str, low: int, high: int) -> int:
-    """A number as an integer.
-
-    Raises:
-        LumitreeError: it is none, or out of range.
-    """
+    """A number as an integer from `low` to `high`."""
     if not (low <= value <= high and value == int(value)):
         raise LumitreeError(f"it has {value:g} {what}; expected {low} to {high}")
     return int(value)

@@ -43,19 +43,11 @@ _SYMMETRIES: dict[tuple[float, float], tuple[float, ...]] = {
 
 
 def completed(c: Array, gamma: Array, intensity: Array) -> tuple[Array, Array, Array]:
-    """Angles and intensities of the whole sphere from a Type C file's.
+    """Angles and intensities [C, G] of the whole sphere from a Type C file's.
 
     One plane stands for rotational symmetry. Planes over a quarter or a half of the circle stand
     for symmetry about one or both of the planes C = 0 and C = 90. Where a file has no γ, it is
-    dark.
-
-    Args:
-        c: [C] ascending, degrees.
-        gamma: [G] ascending, within 0 to 180.
-        intensity: [C, G].
-
-    Raises:
-        LumitreeError: the angles are not ascending, out of range, or of no known symmetry.
+    dark. Angles are ascending, in degrees, γ within 0 to 180.
     """
     _check_ascending(c, gamma)
     if not 0 <= gamma[0] <= gamma[-1] <= 180:

@@ -15,12 +15,9 @@ _CLEARANCE = 0.0006  # between a wire's end and the glass, metres
 
 
 def cut(profile: ArrayLike, sides: int, flatness: float = 1.0) -> Mesh:
-    """Faceted solid about the y axis.
+    """Faceted solid about the y axis; the profile [N, 2], radius and y, goes upwards along it.
 
-    Args:
-        profile: [N, 2] radius and y, from axis to axis upwards.
-        sides: number of facets around.
-        flatness: thickness along z as a share of the width along x.
+    `flatness` is its thickness along z as a share of the width along x.
     """
     mesh = lathe(profile, sides)
     return facets(mesh.vertices[mesh.faces] * [1, 1, flatness])

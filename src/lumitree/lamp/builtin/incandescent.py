@@ -65,12 +65,9 @@ class Filament:
 class HangingBulb:
     """A screw bulb with its socket.
 
-    Attributes:
-        outside: control points of the glass's outer profile below `NECK`, from the axis up.
-        filament: what glows in it.
-        wall: thickness of the glass, metres.
-        inside: inner profile [N, 2] from axis to axis, where the wall is not of one thickness.
-        stem: whether there is a glass stem inside.
+    `outside` are control points of the glass's outer profile below `NECK`, from the axis up;
+    `inside` is the inner profile [N, 2] from axis to axis, where the wall, in metres, is not of one
+    thickness. `stem` adds a glass stem.
     """
 
     outside: ArrayLike

@@ -44,16 +44,9 @@ class Images:
     def decoded(
         self, key: Hashable, read: Callable[[], bytes], where: str, formats: tuple[str, ...]
     ) -> DecodedImage:
-        """The image of a key.
+        """The image of a key within the model; `read` returns the bytes of its file if needed.
 
-        Args:
-            key: of the image within the model.
-            read: returns the bytes of its file, where they are needed.
-            where: what the image is, for messages.
-            formats: that are tried, by Pillow's names.
-
-        Raises:
-            LumitreeError: it is damaged, in no such format, or too large.
+        `where` says what the image is; `formats` are tried, by Pillow's names.
         """
         if key not in self._decoded:
             self._decoded[key] = self._decode(read(), where, formats)
@@ -67,11 +60,7 @@ class Images:
         return self._made[key]
 
     def spend(self, size: int, where: str) -> None:
-        """Count bytes that are about to be held or computed.
-
-        Raises:
-            LumitreeError: they are too many for one model.
-        """
+        """Count bytes that are about to be held or computed; too many for one model are refused."""
         self._bytes += size
         if self._bytes > MAX_TOTAL_BYTES:
             raise LumitreeError(

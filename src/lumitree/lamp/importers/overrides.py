@@ -20,12 +20,9 @@ from lumitree.lamp.scene_writer import transmits
 
 @dataclasses.dataclass(frozen=True)
 class Emission:
-    """Emission of a material: `radiance`, or `lumens` of all its surfaces together.
+    """Emission of a material: radiance, W/(m² sr), or the luminous flux of all its surfaces.
 
-    Attributes:
-        radiance: W/(m² sr); None where `lumens` is given.
-        lumens: luminous flux.
-        colour: of the flux; linear RGB of which only the ratios matter.
+    Only the ratios of the flux's `colour`, linear RGB, matter.
     """
 
     radiance: RGB | None

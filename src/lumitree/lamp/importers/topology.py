@@ -86,17 +86,11 @@ def reach(points: Floats) -> float:
 
 
 def repeats(corners: Floats, within: float) -> tuple[Indices, NDArray[np.bool_]]:
-    """The first face in the place of each, and whether the face is wound the other way.
+    """The first face [F] in the place of each, and whether [F] the face is wound the other way.
 
     Two faces of opposite winding where solids touch, or a solid is folded, do not repeat each
     other: without one the solid would be open. The neighbours of a repeated face are repeated, too.
-
-    Args:
-        corners: [F, N, 3] of faces of one material.
-        within: `reach` of the material.
-
-    Returns:
-        [F] indices of faces, and [F].
+    `corners` [F, N, 3] are of faces of one material, `within` is its `reach`.
     """
     first, turned = _in_one_place(corners, within)
     if turned.any():

@@ -18,12 +18,7 @@ _WRAPS: dict[int, Literal["repeat", "mirror", "clamp"]] = {
 
 @dataclasses.dataclass(frozen=True)
 class Sampler:
-    """How an image is sampled.
-
-    Attributes:
-        wrap: what lies outside [0, 1] along u, and along v.
-        nearest: no interpolation between pixels.
-    """
+    """How an image is looked up; `wrap` is outside [0, 1], along u and along v."""
 
     wrap: tuple[Literal["repeat", "mirror", "clamp"], Literal["repeat", "mirror", "clamp"]]
     nearest: bool

@@ -15,12 +15,7 @@ _IDENTITY = tuple(np.eye(4).ravel().tolist())
 
 @dataclasses.dataclass(frozen=True)
 class Node:
-    """A node of the scene.
-
-    Attributes:
-        item: its JSON.
-        world: `world_from_node` [4, 4].
-    """
+    """A node of the scene; `world` is `world_from_node` [4, 4]."""
 
     item: Item
     world: Floats
@@ -89,10 +84,8 @@ def _local(item: Item) -> Floats:
 def transforms(translation: ArrayLike, rotation: ArrayLike, scale: ArrayLike, item: Item) -> Floats:
     """Transforms [N, 4, 4] that scale, then rotate, then translate.
 
-    Args:
-        translation, scale: [N, 3], or [3] for all.
-        rotation: [N, 4] or [4], quaternions x, y, z and w of any length.
-        item: what they belong to, for messages.
+    Translation and scale are [N, 3], or [3] for all; rotations [N, 4] or [4], quaternions x, y, z
+    and w of any length.
     """
     quaternion = np.atleast_2d(np.asarray(rotation, np.float64))
     x, y, z, w = quaternion.T

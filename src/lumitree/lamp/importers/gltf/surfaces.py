@@ -19,12 +19,7 @@ _MIN_IOR, _MAX_IOR, _MIN_ATTENUATION = 1.001, 10.0, 1e-4
 
 @dataclasses.dataclass(frozen=True)
 class Volume:
-    """Parameters of KHR_materials_volume.
-
-    Attributes:
-        thickness: in the mesh's unit; 0 is a thin sheet.
-        absorption: R, G and B per metre.
-    """
+    """KHR_materials_volume: thickness in the mesh's unit, 0 for a sheet; absorption per metre."""
 
     thickness: float
     absorption: RGB

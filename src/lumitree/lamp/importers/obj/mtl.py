@@ -40,12 +40,8 @@ _NEUTRAL = {"-mm": [0.0, 1.0], "-t": [0.0, 0.0, 0.0], "-boost": [0.0]}
 class MtlMap:
     """An image that a material names.
 
-    Attributes:
-        file: as the file names it.
-        scale, offset: of u and v, in the file's convention (v = 0 at the image's last row).
-        clamp: whether texture coordinates are clamped to [0, 1].
-        bump_scale: strength of a bump map.
-        ignored: options that have no effect here.
+    `scale` and `offset` are of u and v, with v = 0 at the image's last row, as in the file. `clamp`
+    limits texture coordinates to [0, 1]; `ignored` options have no effect here.
     """
 
     file: str

@@ -38,17 +38,11 @@ def read_table(
 
 
 def vertex_colours(rows: Floats) -> tuple[Floats | None, list[str]]:
-    """Colours of vertices, and what is left out of their lines.
+    """Linear RGB of vertices [V, 3], and a list of what is left out of their lines.
 
-    After x, y and z a line may have a weight, a colour, or both: `w`, `r g b`, `w r g b`. Where
-    each fourth of seven numbers is not 1, the seventh is an opacity: `r g b a`. Colours are
-    sRGB-encoded, in [0, 1] or in [0, 255].
-
-    Args:
-        rows: [V, W] numbers, NaN where there is none.
-
-    Returns:
-        Linear RGB [V, 3], white where a line has no colour, None where no line has one.
+    After x, y and z a line [V, W] may have a weight, a colour, or both: `w`, `r g b`, `w r g b`.
+    Where each fourth of seven numbers is not 1, the seventh is an opacity: `r g b a`. Colours are
+    sRGB-encoded, in [0, 1] or in [0, 255]. White where a line has none; None where no line has one.
     """
     count = (~np.isnan(rows)).sum(axis=1)
     left_out = []
