@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from lumitree.errors import LumitreeError
 
-# Of the arrays of a stream together.
+# For all arrays of a stream together.
 MAX_BYTES = 1 << 31
 _LEVEL = 6
 
@@ -43,16 +43,7 @@ def compressed(arrays: Mapping[str, NDArray[Any]], layouts: Iterable[Layout]) ->
 def decompressed(
     stream: NDArray[np.uint8], layouts: Iterable[Layout], what: str
 ) -> dict[str, NDArray[Any]]:
-    """The arrays of a stream, by name.
-
-    Args:
-        stream: [bytes].
-        layouts: of all of its arrays.
-        what: what the stream holds, for errors: "the field".
-
-    Raises:
-        LumitreeError: the stream is damaged, or of another size.
-    """
+    """The arrays of a stream [bytes], by name; errors name the stream `what`."""
     layouts = list(layouts)
     sizes = [math.prod(each.shape) * np.dtype(each.dtype).itemsize for each in layouts]
     content = inflated(stream.tobytes(), sum(sizes), what)
@@ -70,11 +61,7 @@ def decompressed(
 
 
 def inflated(content: bytes, size: int, what: str) -> bytes:
-    """The `size` bytes of a zlib stream.
-
-    Raises:
-        LumitreeError: the stream is damaged, or of another size.
-    """
+    """The `size` bytes of a zlib stream; refuses any other size."""
     if size > MAX_BYTES:
         raise LumitreeError(f"{what} has {size} bytes (limit {MAX_BYTES})")
     decompressor = zlib.decompressobj()

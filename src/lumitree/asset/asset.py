@@ -24,10 +24,10 @@ from lumitree.core.transmittance import LAWS, Law
 from lumitree.errors import LumitreeError, shown
 from lumitree.octree.build import MAX_TREE_DEPTH
 
-# What a renderer computes from values within these bounds is finite in float32, squares included.
+# With values within these bounds all results of a renderer, and squares, are finite in float32.
 MIN_RADIANCE, MAX_RADIANCE = 1e-15, 1e15
 MAX_DENSITY = 1e15
-# What an asset may have: its illumination, its image without and with the luminaire itself.
+# Parts that an asset may have: illumination, its image without and with the luminaire itself.
 Part = Literal["light", "field", "geometry"]
 PARTS: tuple[Part, ...] = get_args(Part)
 NO_GAIN = (1.0, 1.0, 1.0)

@@ -2,7 +2,7 @@
 
 The field is rounded. A density keeps 4 bits after its leading one, and a coefficient is a multiple
 of a step, which is smaller for leaves that emit much: their errors would not average out. R and B
-are stored as differences to G. What is rounded once is not changed by rounding it again.
+are stored as differences to G. Values rounded once are not changed by rounding them again.
 
 Symbols
     N   interior nodes          M   leaves          K   (l_max + 1)² coefficients per channel
@@ -61,23 +61,14 @@ def field_tensors(asset: Asset) -> dict[str, NDArray[Any]]:
 
 
 def field_description(asset: Asset) -> dict[str, int]:
-    """What the file states of a field besides its tensor."""
+    """Description of a field in the file, besides its tensor."""
     return {"nodes": len(asset.children), "leaves": asset.num_leaves}
 
 
 def build_field(
     description: Record, l_max: int, tensors: dict[str, NDArray[Any]]
 ) -> dict[str, NDArray[Any]]:
-    """`children`, `density` and `coefficients` of a file; the inverse of `field_tensors`.
-
-    Args:
-        description: what the file states of the field.
-        l_max: its highest band.
-        tensors: all tensors of the file.
-
-    Raises:
-        LumitreeError: the field is invalid.
-    """
+    """`children`, `density` and `coefficients` of a file; the inverse of `field_tensors`."""
     expect("asset", 0 <= l_max <= MAX_L, f"l_max {l_max!r}, expected 0 to {MAX_L}")
     description.expect_keys(*_KEYS)
     nodes, leaves = (description.integer(key) for key in _KEYS)
@@ -102,11 +93,7 @@ def field_codes(asset: Asset, steps: Steps = STEPS) -> dict[str, NDArray[Any]]:
 
 
 def field_of_codes(codes: dict[str, NDArray[Any]], steps: Steps = STEPS) -> dict[str, NDArray[Any]]:
-    """The field of the arrays of a stream; the inverse of `field_codes`.
-
-    Raises:
-        LumitreeError: the arrays are no field.
-    """
+    """The field of the arrays of a stream, checked; the inverse of `field_codes`."""
     return {
         "children": _children(codes["occupied"], codes["ends"], len(codes["density"])),
         "density": densities(codes["density"]),
@@ -122,11 +109,7 @@ def density_codes(density: NDArray[np.float32]) -> NDArray[np.uint16]:
 
 
 def densities(codes: NDArray[np.uint16]) -> NDArray[np.float32]:
-    """Densities [M] of codes [M].
-
-    Raises:
-        LumitreeError: a code has too many bits.
-    """
+    """Densities [M] of codes [M]; one with too many bits is refused."""
     if (codes >> (32 - DENSITY_SHIFT)).any():
         raise LumitreeError(f"a density of more than {32 - DENSITY_SHIFT} bits")
     return (codes.astype(np.uint32) << DENSITY_SHIFT).view(np.float32)
@@ -138,7 +121,7 @@ def coefficient_codes(coefficients: NDArray[np.float16], steps: Steps = STEPS) -
     # In differences to G there is room for twice as much.
     largest = _LARGEST_CODE // 2 * steps.constant
     values[:, :1] = np.clip(values[:, :1], -largest, largest)
-    # Differences before rounding: those of grey leaves are all 0.
+    # Differences before rounding: grey leaves have only 0.
     values[..., ::2] -= values[..., 1:2]
     codes = np.empty(values.shape, np.int16)
     codes[:, :1] = _limited(values[:, :1] / steps.constant)

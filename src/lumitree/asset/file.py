@@ -142,7 +142,9 @@ def load(path: str | os.PathLike[str]) -> Asset:
             raise LumitreeError("the checksum does not match its content")
         return _build(description, tensors)
     except (safetensors.SafetensorError, LumitreeError) as error:
-        raise _damaged(path, str(error)) from None
+        raise LumitreeError(
+            f"{path} is not a valid .lumitree asset: {error}; bake it again"
+        ) from None
 
 
 def _build(description: Record, tensors: dict[str, NDArray[Any]]) -> Asset:
@@ -171,7 +173,7 @@ def _build(description: Record, tensors: dict[str, NDArray[Any]]) -> Asset:
 
 
 def _other_kind(path: str | os.PathLike[str], content: bytes) -> str | None:
-    """What a file is that does not begin as an asset; None for an asset, damaged or not."""
+    """Kind of a file that does not begin as an asset; None for an asset, damaged or not."""
     if content[8:9] == b"{" and _header_bytes(content) <= _MAX_HEADER_BYTES:
         return None
     what = what_it_is(path, content) or "a file of another kind"
@@ -227,7 +229,3 @@ def _digest(text: str, tensors: dict[str, NDArray[Any]]) -> str:
         digest.update(f"{name}{list(array.shape)}".encode())
         digest.update(array.data if array.size else b"")
     return digest.hexdigest()
-
-
-def _damaged(path: str | os.PathLike[str], reason: str) -> LumitreeError:
-    return LumitreeError(f"{path} is not a valid .lumitree asset: {reason}; bake it again")

@@ -213,7 +213,7 @@ def check_surface(
             )
     found = [texture for texture in textures_of(used) if "image" in texture]
     coordinates = mesh.get("texcoords", np.zeros((0, 2)))
-    # Without coordinates of its own a shape has those of Mitsuba, from 0 to 1.
+    # A shape without coordinates of its own has Mitsuba's, from 0 to 1.
     largest = np.abs(coordinates).max(axis=0) if found and len(coordinates) else np.ones(2)
     for texture in found:
         check_coordinates(texture, images, largest)

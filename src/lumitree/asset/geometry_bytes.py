@@ -54,11 +54,7 @@ def geometry_tensors(geometry: AssetGeometry) -> dict[str, NDArray[Any]]:
 
 
 def build_geometry(tensors: dict[str, NDArray[Any]]) -> AssetGeometry:
-    """The geometry of a file's tensors; the inverse of `geometry_tensors`.
-
-    Raises:
-        LumitreeError: the geometry is invalid.
-    """
+    """The geometry of a file's tensors, checked; the inverse of `geometry_tensors`."""
     text = tensors[GEOMETRY_SHAPES].tobytes()
     if len(text) > _MAX_TEXT:
         raise LumitreeError(f"the geometry's description has {len(text)} bytes (limit {_MAX_TEXT})")

@@ -2,7 +2,7 @@
 
 A medium that only absorbs is its absorption [3]. One that scatters is an object with exactly the
 keys `absorption` [3], `scattering` [3] and `anisotropy`, the mean cosine of the scattering angle
-(Henyey-Greenstein). Coefficients are those of R, G and B, per unit of length of the luminaire's
+(Henyey-Greenstein). Coefficients are for R, G and B, per unit of length of the luminaire's
 file.
 """
 
@@ -15,7 +15,7 @@ from lumitree.asset.checks import require
 from lumitree.asset.textures import Json
 from lumitree.core.reading import Record
 
-# Of a surface: where its normal points away from, and where to.
+# Sides of a surface: where its normal points away from, and where to.
 MEDIA_SIDES = ("interior", "exterior")
 _KEYS = ("absorption", "scattering", "anisotropy")
 # Per unit of length.
@@ -54,13 +54,7 @@ def described_medium(medium: SideMedium) -> Any:
 
 
 def check_medium(record: Record, side: str, of: str) -> None:
-    """Refuse what is not a medium.
-
-    Args:
-        record: of a shape.
-        side: member of the record.
-        of: type of the shape, for messages.
-    """
+    """Refuse an invalid medium; `side` is its key in the record of a shape of type `of`."""
     if not record.is_object(side):
         _check_coefficient(record, side, f"{side} of a {of}")
         return

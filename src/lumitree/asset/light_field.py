@@ -26,7 +26,7 @@ _expect = functools.partial(expect, _WHAT)
 # A cell is named by 10 bits a coordinate, and a device array of all bins holds at most 2³¹.
 MAX_DEPTH, MAX_RESOLUTION = 7, 512
 MAX_BINS = 1 << 28
-# Of `TracedPaths`.
+# Limits of `TracedPaths`.
 MAX_PATHS, MAX_SEEDS = 1 << 50, 1 << 12
 # Red, green and blue of 9 bits with a common exponent of 5 bits, as OpenGL's RGB9_E5. Colours
 # are at most 1, so the exponent's offset is 31 in place of 15: darker colours can be stored.

@@ -35,7 +35,7 @@ def light_field_tensors(field: LightField) -> dict[str, NDArray[Any]]:
 
 
 def light_field_description(field: LightField) -> dict[str, Any]:
-    """What the file states of a field besides its tensors."""
+    """Description of a field in the file, besides its tensors."""
     counts, inside = _counts(field)
     members: dict[str, Any] = {key: getattr(field, key) for key in _KEYS} | counts
     if field.traced is not None:
@@ -48,15 +48,7 @@ def light_field_description(field: LightField) -> dict[str, Any]:
 
 
 def build_light_field(description: Record, tensors: dict[str, NDArray[Any]]) -> LightField:
-    """The field of a file; the inverse of `light_field_tensors` and `light_field_description`.
-
-    Args:
-        description: what the file states of it.
-        tensors: all tensors of the file.
-
-    Raises:
-        LumitreeError: the field is invalid.
-    """
+    """The field of a file; the inverse of `light_field_tensors` and `light_field_description`."""
     description.expect_keys(*_KEYS, *_COUNTS, optional=("traced", "inside", "absolute"))
     resolution = description.integer("resolution")
     own, inside_counts = None, {}
@@ -115,7 +107,7 @@ def _read_counts(description: Record, keys: tuple[str, ...]) -> dict[str, int]:
 def _layouts(
     counts: tuple[dict[str, int], dict[str, int]], resolution: int
 ) -> tuple[list[Layout], list[Layout]]:
-    """Arrays of a stream, in its order: those of a field, and those of the light inside."""
+    """Arrays of a stream, in its order: of a field, and of the light inside."""
     counts_outer, counts_inner = counts
     outer = [
         Layout("cells", np.uint8, (counts_outer["cells"], 3)),

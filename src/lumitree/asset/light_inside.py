@@ -14,7 +14,7 @@ Symbols
 
 A receiver at distance r from a point of a cell gets I + J s, in which V is contained on average
 over the bin and the cell. Where the luminaire's surfaces are in the scene, it gets (I + J) V κ,
-which has the same mean, and the shadows are those of the surfaces.
+which has the same mean, and the shadows are the surfaces'.
 """
 
 import dataclasses
@@ -129,12 +129,7 @@ class LightInside:
     def check_beside(
         self, cells: NDArray[np.uint8], lit: NDArray[np.uint8], depth: int, resolution: int
     ) -> None:
-        """Refuse it beside a light field that it does not fit; arguments as its members.
-
-        Raises:
-            LumitreeError: bins are of another number, a cell is outside the grid, or a bin that
-                emits has no entry.
-        """
+        """Refuse it beside a light field that it does not fit; arguments as its members."""
         bins = (resolution // 2) ** 2
         expect_arrays(
             "light inside the box", {"lit": (self.lit, np.uint8, (len(self.cells), -(-bins // 8)))}

@@ -1,6 +1,6 @@
 """Mitsuba's names of measured materials: conductors, and indices of refraction."""
 
-# Names of conductors; those of the first group come from two sources. "AlSb" and "AlSb_palik" are
+# Names of conductors; the first group comes from two sources. "AlSb" and "AlSb_palik" are
 # left out: Mitsuba's tables of them give NaN in RGB variants.
 _MEASURED_TWICE = (
     *("AlAs", "Be", "CsI", "Cu", "Cu2O", "CuO", "d-C", "Hg", "HgTe", "Ir", "K", "Li", "MgO"),

@@ -17,7 +17,7 @@ _MAX_COLOUR, _MAX_RADIANCE = 1e4, 1e15
 
 @dataclasses.dataclass(frozen=True)
 class Kind:
-    """What a parameter may be.
+    """Values that a parameter may have.
 
     Attributes:
         range: of a number.
@@ -47,11 +47,7 @@ class Kind:
         return " or ".join(forms)
 
     def accepts(self, value: Any, images: Sequence[ImageFacts]) -> bool:
-        """Whether a value, as `json.loads` returns it, is one of these.
-
-        Raises:
-            LumitreeError: it is a texture that is not of the kind; the message says why.
-        """
+        """Whether a value, as `json.loads` returns it, is one of these; a wrong texture raises."""
         if isinstance(value, bool):
             return self.boolean
         if isinstance(value, str):
@@ -68,7 +64,7 @@ class Kind:
 
 @dataclasses.dataclass(frozen=True)
 class Plugin:
-    """What Mitsuba accepts together.
+    """Parameters that Mitsuba accepts together.
 
     Attributes:
         parameters: by name.
@@ -107,7 +103,7 @@ _METAL = Kind(
     texture=TextureKind((0, _MAX_COLOUR), vertex_colours=True),
 )
 _MICROFACETS = Kind(names=frozenset(("ggx", "beckmann")))
-# Mitsuba cannot sample an emitter whose radiance is that of its vertices.
+# Mitsuba cannot sample an emitter whose radiance is given at its vertices.
 RADIANCE = Kind(
     colour=_MAX_RADIANCE, range=(0, _MAX_RADIANCE), texture=TextureKind((0, _MAX_RADIANCE))
 )

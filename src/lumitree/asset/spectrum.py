@@ -12,7 +12,7 @@ from lumitree.core.photometry import WAVELENGTHS
 from lumitree.core.reading import Record
 
 SPECTRUM_TENSORS = {"spectrum.power": "F32"}
-# Part of the luminous flux whose spectrum has to be known for that of the lamp to be.
+# Fraction of the luminous flux that must have a known spectrum before the lamp gets one.
 _WHOLE = 0.999
 _expect = functools.partial(expect, "spectrum")
 
@@ -50,7 +50,7 @@ class EmittedSpectrum:
 
     @property
     def is_whole(self) -> bool:
-        """Whether it is that of all emitters, but for a thousandth of their luminous flux."""
+        """Whether it includes all emitters, but for a thousandth of their luminous flux."""
         return self.share >= _WHOLE
 
     @staticmethod
@@ -69,19 +69,11 @@ def spectrum_tensors(spectrum: EmittedSpectrum) -> dict[str, NDArray[Any]]:
 
 
 def spectrum_description(spectrum: EmittedSpectrum) -> dict[str, Any]:
-    """What the file states of a spectrum besides its tensor."""
+    """Description of a spectrum in the file, besides its tensor."""
     return {"share": spectrum.share}
 
 
 def build_spectrum(description: Record, tensors: dict[str, NDArray[Any]]) -> EmittedSpectrum:
-    """The spectrum of a file; the inverse of `spectrum_tensors` and `spectrum_description`.
-
-    Args:
-        description: what the file states of it.
-        tensors: all tensors of the file.
-
-    Raises:
-        LumitreeError: the spectrum is invalid.
-    """
+    """The spectrum of a file; the inverse of `spectrum_tensors` and `spectrum_description`."""
     description.expect_keys("share")
     return EmittedSpectrum(tensors["spectrum.power"], description.number("share"))

@@ -26,7 +26,7 @@ _ROUNDING = 1e-3
 
 @dataclasses.dataclass(frozen=True)
 class ImageFacts:
-    """What textures need to know of an image.
+    """Properties of an image that textures depend on.
 
     Attributes:
         sides: height and width.
@@ -112,9 +112,7 @@ def check_coordinates(
 ) -> None:
     """Refuse texture coordinates at which Mitsuba cannot look up an image.
 
-    Args:
-        texture: of an image, that `check_texture` accepts.
-        coordinates: [2] largest absolute value of u and of v.
+    `coordinates` are the largest absolute values of u and of v; `texture` is valid.
     """
     matrix = np.abs(np.array(texture["to_uv"], np.float64))
     height, width = images[texture["image"]].sides

@@ -30,14 +30,8 @@ _DAMAGED += (NotImplementedError, KeyError, MemoryError, struct.error)
 class Archive:
     """A zip archive, whose members are found by their names in any case and encoding.
 
-    Args:
-        content: of the archive.
-        name: of the archive, for messages.
-        expected: what it should be, for messages.
-        outer: the archive that it is a member of, with which it shares the limit of size.
-
-    Raises:
-        LumitreeError: it is not a zip archive, or has too many members.
+    It shares the limit of size with `outer`, the archive that it is a member of. `name` and
+    `expected` are for messages.
     """
 
     def __init__(
@@ -80,15 +74,9 @@ class Archive:
         return [name for name in below if name and "/" not in name]
 
     def read(self, name: str, expected: str, max_bytes: int = _MAX_UNPACKED) -> bytes:
-        """Content of a member.
+        """Content of a member; `expected` is for messages.
 
-        Args:
-            name: of the member.
-            expected: what it should be, for messages.
-            max_bytes: largest size that is accepted; nothing of a larger member is unpacked.
-
-        Raises:
-            LumitreeError: it is missing, damaged, encrypted or too large.
+        Nothing of a member larger than `max_bytes` is unpacked.
         """
         member = self._member(name)
         where = f"{shown(name, 200)} in {self.name}"

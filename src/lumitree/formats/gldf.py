@@ -9,7 +9,7 @@ is the first part of its content type:
     image/, document/, ...
 
 The XML has variants of the product. A variant joins a geometry and emitters; an emitter has a
-photometry, a rotation and a luminous flux. In this module x, y and z are those of GLDF: z is up.
+photometry, a rotation and a luminous flux. In this module x, y and z are GLDF's: z is up.
 """
 
 import dataclasses
@@ -36,24 +36,14 @@ _MAX_SOURCES = 200
 
 @dataclasses.dataclass(frozen=True)
 class GldfFile:
-    """A file that a product names.
-
-    Attributes:
-        name: of the file, or its address.
-        content_type: such as "ldc/ies".
-        is_local: whether it is in the archive.
-    """
+    """A file that a product names, or its address; `content_type` is such as "ldc/ies"."""
 
     name: str
     content_type: str
     is_local: bool
 
     def member(self, archive: Archive) -> str:
-        """Its name in the archive.
-
-        Raises:
-            LumitreeError: it is on the internet, or not in the archive.
-        """
+        """Its name in the archive, where it must be."""
         where = f"{self.content_type.partition('/')[0]}/{self.name}"
         if not self.is_local:
             raise LumitreeError(
@@ -89,15 +79,10 @@ class GldfEmitter:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class GldfVariant:
-    """A variant of a product.
+    """A variant of a product, with the emitters that are on in normal operation.
 
-    Attributes:
-        name: of product and variant.
-        emitters: whose light is on in normal operation.
-        model: file of the geometry; None for none that is read.
-        opening: luminous opening of a simple geometry, centred at the origin; None for that of the
-            photometry.
-        notes: what of the file is left out, for one warning each.
+    `opening` is the luminous opening of a simple geometry, centred at the origin; None for the
+    opening of the photometry. Each of `notes` is a warning.
     """
 
     name: str
@@ -108,16 +93,7 @@ class GldfVariant:
 
 
 def read_variant(archive: Archive, path: str | os.PathLike[str], chosen: str | None) -> GldfVariant:
-    """A variant of the product that a GLDF file describes.
-
-    Args:
-        archive: the file.
-        path: of the file, for messages.
-        chosen: id or name of the variant; None for the first.
-
-    Raises:
-        LumitreeError: the file is damaged, or has no such variant.
-    """
+    """The variant of an id or a name, or the first, of the product that a GLDF file describes."""
     content = archive.read(_PRODUCT, "the description of a product")
     root = parse_xml(content, f"{_PRODUCT} in {archive.name}", "a product of GLDF")
     try:

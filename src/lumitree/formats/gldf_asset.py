@@ -40,17 +40,7 @@ _CHANGED = 0.01
 
 
 def bake_gldf(path: str | os.PathLike[str], chosen: str | None = None) -> Asset:
-    """Asset of a variant of a GLDF file.
-
-    Warns of what the asset lacks.
-
-    Args:
-        path: of the file.
-        chosen: id or name of the variant. Default: the first.
-
-    Raises:
-        LumitreeError: the file is damaged or incomplete, has no such variant, or emits nothing.
-    """
+    """Asset of a variant of a GLDF file, by its id or name, or of the first; warns of omissions."""
     archive = Archive.open(path, KIND)
     variant = read_variant(archive, path, chosen)
     with scratch_folder() as folder:
@@ -116,7 +106,7 @@ class _Bake:
         )
 
     def _factor(self, emitter: GldfEmitter, distribution: IntensityDistribution) -> float:
-        """Luminous flux of the light sources over that which the photometry was made with."""
+        """Luminous flux of the light sources over the flux that the photometry was made with."""
         reference = distribution.emitted_lumens or distribution.lumens
         if emitter.lumens is None or not reference > 0:
             return 1.0
@@ -175,5 +165,5 @@ class _Bake:
 
 
 def _read(path: Path) -> IntensityDistribution:
-    # What is none of them is refused as TM-33.
+    # Other files are refused as TM-33.
     return (read_photometry(path) or read_tm33(path))[0]

@@ -187,7 +187,7 @@ class _Reader:
     def _type_c(
         self, numbers: Numbers, intensity: NDArray[np.float64]
     ) -> tuple[Turned | None, tuple[NDArray[np.float64], ...]]:
-        """C, γ and intensities, and those of Type B in its own angles."""
+        """C, γ and intensities, and intensities of Type B in its own angles."""
         horizontal, vertical = numbers.horizontal, numbers.vertical
         kind = integer(numbers.header[5], "as type of photometry (1: C, 2: B, 3: A)", 1, 3)
         if kind == 1:
@@ -244,7 +244,7 @@ class _Reader:
 
 
 def _keyword(head: str, name: str) -> str:
-    """Text of a keyword, with that of the lines [MORE] after it."""
+    """Text of a keyword, with the lines [MORE] after it."""
     found: list[str] = []
     taken = False
     for line in head.split("\n"):

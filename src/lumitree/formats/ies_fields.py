@@ -41,12 +41,10 @@ def edition(head: str) -> int:
 
 @dataclasses.dataclass(frozen=True)
 class SecondNumber:
-    """What the number after the ballast factor means.
+    """Meaning of the number after the ballast factor.
 
-    Attributes:
-        factor: on the intensities.
-        generation: file generation type, a key of `GENERATIONS`; None if there is none.
-        remark: which of several readings is taken; empty if there is only one.
+    `factor` is on the intensities, `generation` a key of `GENERATIONS`. `remark` says which of
+    several readings is taken; it is empty if there is only one.
     """
 
     factor: float = 1.0
@@ -58,12 +56,8 @@ def second_number(text: str, value: float, year: int) -> SecondNumber:
     """Meaning of the number after the ballast factor.
 
     It is the ballast-lamp photometric factor until 1991; for future use, and 1, in 1995 and 2002;
-    and the file generation type since 2019.
-
-    Args:
-        text: the number as the file has it, with a decimal point.
-        value: the number.
-        year: of the edition; `FIRST_EDITION` for a file that names none and may be of any.
+    and the file generation type since 2019. The year is `FIRST_EDITION` for a file that names no
+    edition. `text` is the number as the file has it, with a decimal point.
     """
     code = _generation(text, value)
     if year > 2002:

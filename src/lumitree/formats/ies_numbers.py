@@ -26,14 +26,8 @@ class Tilt:
 class Numbers:
     """The numbers of a file.
 
-    Attributes:
-        tilt: table of TILT=INCLUDE.
-        header: the first 13.
-        second_number: text of the number after the ballast factor, with a decimal point.
-        vertical: [V] angles, degrees.
-        horizontal: [H] angles, degrees.
-        intensity: [H, V] as the file has them.
-        surplus: how many other numbers follow.
+    Angles [V] and [H], degrees, and intensities [H, V] are as the file has them. `header` has the
+    first 13, `surplus` says how many other numbers follow.
     """
 
     tilt: Tilt | None
@@ -46,11 +40,7 @@ class Numbers:
 
 
 def read_numbers(text: str, has_tilt: bool) -> Numbers:
-    """Numbers of the text after the line TILT=, whatever its commas mean.
-
-    Raises:
-        LumitreeError: they are cut off, not finite, or may be read in two ways.
-    """
+    """Numbers of the text after the line TILT=; commas of more than one meaning are refused."""
     if "," not in text:
         return _take_numbers(text.split(), has_tilt)
     readings = (_spaced(text).split(), [word.strip(",").replace(",", ".") for word in text.split()])
@@ -73,11 +63,7 @@ def read_numbers(text: str, has_tilt: bool) -> Numbers:
 
 
 def read_tilt(text: str) -> Tilt:
-    """The table of a TILT file.
-
-    Raises:
-        LumitreeError: it is damaged.
-    """
+    """The table of a TILT file."""
     return _take_tilt(_leading(_spaced(text).split()))[0]
 
 

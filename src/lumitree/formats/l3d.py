@@ -42,7 +42,7 @@ class LightObject:
 
     Attributes:
         name: by which GLDF refers to it.
-        place: [4, 4] from its frame to that of the luminaire, m.
+        place: [4, 4] from its frame to the luminaire's, m.
         opening: with y up, as photometric files have it, centred at the origin of its frame.
     """
 
@@ -68,14 +68,7 @@ class LightFaces:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class L3dPart:
-    """An OBJ model in its place.
-
-    Attributes:
-        folder: of the model in the archive.
-        file: its name in the folder.
-        place: [4, 4] from its coordinates to the frame of the luminaire, m.
-        lights: faces that look luminous.
-    """
+    """An OBJ model in its place; `place` [4, 4] is from its coordinates to the luminaire's, m."""
 
     folder: str
     file: str
@@ -85,17 +78,13 @@ class L3dPart:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class L3d:
-    """What an L3D file describes, with its joints as the file sets them."""
+    """The model of an L3D file, with its joints as the file sets them."""
 
     parts: tuple[L3dPart, ...]
     objects: tuple[LightObject, ...]
 
     def object(self, name: str) -> LightObject:
-        """The light emitting object of a name.
-
-        Raises:
-            LumitreeError: there is none.
-        """
+        """The light emitting object of a name, which must exist."""
         for each in self.objects:
             if each.name == name:
                 return each
@@ -106,11 +95,7 @@ class L3d:
 
 
 def read_l3d(archive: Archive) -> L3d:
-    """Read `structure.xml` of an L3D file.
-
-    Raises:
-        LumitreeError: it is missing or damaged.
-    """
+    """Read `structure.xml` of an L3D file."""
     content = archive.read(_STRUCTURE, "the structure of an L3D model")
     root = parse_xml(content, f"{_STRUCTURE} in {archive.name}", KIND)
     try:

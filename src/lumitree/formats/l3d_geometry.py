@@ -2,7 +2,7 @@
 
 Faces that the file marks as luminous emit as Lambertian surfaces do, with the luminous flux of
 their light emitting object; an object without such faces emits from its own rectangle or disk. This
-light is for images of the luminaire alone. Materials are those of the MTL files; they emit nothing.
+light is for images of the luminaire alone. Materials are from the MTL files; they emit nothing.
 """
 
 import dataclasses
@@ -46,15 +46,9 @@ def l3d_geometry(
 ) -> Geometry:
     """Parts and materials of a luminaire, in metres, y up.
 
-    Args:
-        archive: the L3D file.
-        model: its structure.
-        lumens: luminous flux of light emitting objects by name; faces of others do not emit.
-        folder: an empty one, for the files of the models.
-
-    Raises:
-        LumitreeError: a model is missing, damaged, larger than 32 MiB, 2²⁰ lines or 2²¹ corners of
-            faces; or there are more than 2¹⁹ triangles, or 2²⁴ pixels of images.
+    Only faces of the light emitting objects in `lumens` (lm) emit. The files of the models are
+    written to `folder`, which is empty. A model has at most 32 MiB, 2²⁰ lines and 2²¹ corners of
+    faces; a luminaire 2¹⁹ triangles and 2²⁴ pixels of images.
     """
     return _Builder(archive, model, lumens, folder).build()
 
@@ -69,7 +63,7 @@ class _Builder:
         self._names, self._triangles, self._pixels = Names("-"), 0, 0
         self._parts: list[Part] = []
         self._materials: dict[str, Material] = {}
-        # Of luminous materials: the light emitting object, and the weight of its area.
+        # For luminous materials: the light emitting object, and the weight of its area.
         self._lit: dict[str, tuple[str, float]] = {}
 
     def build(self) -> Geometry:
@@ -170,7 +164,8 @@ class _Builder:
                     if self._pixels > _MAX_PIXELS:
                         raise LumitreeError(f"its images have more than {_MAX_PIXELS} pixels")
                     write_bytes(folder / name, data)
-            write_bytes(folder / _LIGHTS, b"".join(_mtl(index) for index, _ in lit))
+            mtl = "".join(f"newmtl {_LIGHT}{index}\nKd 0 0 0\nKe 1 1 1\n" for index, _ in lit)
+            write_bytes(folder / _LIGHTS, mtl.encode())
             libraries = any(name.lower().endswith(".mtl") for name in names)
             write_bytes(path, _marked(content, dict(lit), libraries))
             self._read[key] = read_obj(path)
@@ -183,21 +178,13 @@ def plain_name(name: str) -> str:
     return kept.strip(" .") or "file"
 
 
-def _mtl(index: int) -> bytes:
-    return f"newmtl {_LIGHT}{index}\nKd 0 0 0\nKe 1 1 1\n".encode()
-
-
 def _marked(
     content: bytes, lights: Mapping[int, tuple[tuple[int, int, int], ...]], libraries: bool
 ) -> bytes:
     """The text of an OBJ model in which faces of each light use a material of their own.
 
-    Faces are counted from 0 within their group; a model without groups is one.
-
-    Args:
-        content: of the file.
-        lights: group, first and last face of each range by the index of the light.
-        libraries: whether there are MTL files; else the text names none of its own.
+    Faces are counted from 0 within their group; a model without groups is one. `lights` has group,
+    first and last face of each range. Without `libraries` the text names no MTL file.
     """
     lines = in_utf8(content).replace(b"\\\n", b" ").split(b"\n", _MAX_LINES)
     places = _face_places(lines) if len(lines) <= _MAX_LINES else []

@@ -238,7 +238,7 @@ class _Reader:
         warn_of_flux(self._path, lumens, stated, what)
 
     def _opening(self) -> Opening:
-        """A width of 0 is that of a round area, whose diameter is the length."""
+        """A width of 0 means a round area, whose diameter is the length."""
         length, width = (abs(self._field(line)) / 1000 for line in (_LENGTH, _WIDTH))
         c0, c90, c180, c270 = (abs(self._field(line)) / 1000 for line in _HEIGHTS)
         height = max(c0, c90, c180, c270)
@@ -292,11 +292,7 @@ class _Reader:
         return c, gamma, values.reshape(held, angles)
 
     def _numbers(self, start: int) -> tuple[NDArray[np.float64], str]:
-        """Numbers after the direct ratios, which are on ten lines or on fewer, and what ends them.
-
-        Args:
-            start: lines before the direct ratios.
-        """
+        """Numbers after the direct ratios, which are on ten lines or fewer, and what ends them."""
         ratios = self._lines[start : start + _NUM_RATIOS]
         by_line = all(len(line.split()) <= 1 for line in ratios)
         first = start + _NUM_RATIOS if by_line else start

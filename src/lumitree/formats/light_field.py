@@ -54,12 +54,7 @@ _QUARTERS, _FIT_STEPS = (0.25, 0.75, 0.75, 0.25), 2
 
 
 def bake_distribution(distribution: IntensityDistribution, colour: RGB = WHITE) -> Asset:
-    """Asset that emits an intensity distribution from its luminous opening.
-
-    Args:
-        distribution: with its opening.
-        colour: linear RGB of luminance 1.
-    """
+    """Asset that emits a distribution from its opening, in linear RGB `colour` of luminance 1."""
     opening = distribution.opening
     if max(opening.sides) < _MIN_EXTENT:
         opening = Opening((POINT_SIZE, POINT_SIZE, POINT_SIZE))
@@ -83,7 +78,7 @@ def _flat_shares(
 ) -> tuple[int, NDArray[np.int64], NDArray[np.float64]]:
     """Depth of a grid, cells [C, 3], and their parts [C] of the opening, for all directions."""
     if opening.shape == "box":
-        # What is even over the box is exact with cells of any size.
+        # Light that is even over the box is exact with cells of any size.
         return 1, np.indices((2, 2, 2)).reshape(3, -1).T, np.full(8, 1 / 8)
     points, areas = opening.surface()
     side = 1 << _DISK_DEPTH
@@ -147,13 +142,7 @@ class _Starts:
 
 
 def bake_rays(rays: Rays, name: str, config: LightFieldConfig) -> Asset:
-    """Asset with the histogram of rays by the cell of their start and by direction.
-
-    Args:
-        rays: of the source.
-        name: of the source.
-        config: depth and resolution of the grid.
-    """
+    """Asset with the histogram of rays by the cell of their start and by direction."""
     lower, upper = rays.origin.min(axis=0), rays.origin.max(axis=0)
     if (upper - lower).max() < _MIN_EXTENT:
         lower, upper = lower - POINT_SIZE / 2, upper + POINT_SIZE / 2
@@ -216,12 +205,8 @@ def _fitted(
 
     Where intensities are curved, values in the middles are too far on the outer side of the curve.
     Steps towards least squares lower this. Values stay within those around them, so no edge of a
-    beam gets a bright or dark seam.
-
-    Args:
-        exact: [2R, 2R] intensities in the middles of the quarters of bins.
-        weight: [2R, 2R] their solid angles.
-        candela: [R, R] intensities in the middles of bins.
+    beam gets a bright or dark seam. `exact` and `weight` [2R, 2R] are the intensities in the
+    middles of the quarters of bins, and their solid angles.
     """
     around = _around(exact)
     low, high = np.min(around, axis=(0, 1)), np.max(around, axis=(0, 1))

@@ -5,7 +5,7 @@ file does, see `light_field`. Light that leaves the lamp may start anywhere on i
 opening is nearer to a face of the box than the middle of the last cells, the light starts before or
 behind it, at the next place that can be the mean of cells. Along an axis over which an opening
 extends far, cells have the part of it that is in them, which blurs its edges by a cell; along
-another one the mean place of the cells is that of the opening.
+another one the mean place of the cells is the opening's.
 
 Symbols
     C   cells           R   bins of direction a side
@@ -89,12 +89,8 @@ class LightSource:
     def surface(self, cell: float) -> tuple[Array, Array | None, Array]:
         """Points [N, 3] in the frame of the lamp's file, m, area vectors [N, 3], and widths [3].
 
-        Args:
-            cell: side of a cell, m.
-
-        Returns:
-            Points; their area vectors, or None if each stands for an equal area, and light of all
-            directions leaves from all points evenly; and the extent of what a point stands for.
+        Without area vectors each point stands for an equal area, and light of all directions leaves
+        from all points evenly. Widths are the extent of what a point stands for.
         """
         turn, sides = self._turn, self._sides
         opening = Opening((float(sides[0]), float(sides[1]), float(sides[2])))
@@ -110,13 +106,7 @@ class LightSource:
 def bake_sources(sources: Sequence[LightSource], frame: LocalFrame, name: str) -> Asset:
     """Asset that emits what sources emit, with R = G = B.
 
-    Args:
-        sources: of the lamp.
-        frame: local frame of the lamp, without rotation, whose box contains their openings.
-        name: of the lamp.
-
-    Raises:
-        LumitreeError: nothing is emitted.
+    `frame` is without rotation, and its box contains the openings of the sources.
     """
     sources = [source for source in sources if source.lumens > 0]
     if not sources:
@@ -217,8 +207,7 @@ class _Starts:
     def shares(self, limit: int) -> tuple[Codes, Array]:
         """Indices [C] of cells, and the part [C, B or 1] of the light of each coarse bin there.
 
-        Args:
-            limit: number of cells. If there are more, some of them are returned, without light.
+        If there are more than `limit` cells, some of them are returned, without light.
         """
         column = np.full(self._cells.side**3, -1)
         codes = np.zeros(0, np.int64)

@@ -1,7 +1,7 @@
 """The luminous opening of a photometric file: the surface that its light comes from.
 
 Photometric files state the sides of the opening, and its shape by their signs or by zeros. The
-frame is that of a luminaire's file, see `type_c`: x along C = 0, y up, z along C = 270.
+frame is the luminaire file's, see `type_c`: x along C = 0, y up, z along C = 270.
 """
 
 import dataclasses
@@ -208,17 +208,10 @@ def _quantile(values: Array, flux: Array, part: float) -> float:
 def lm63_opening(
     width: float, length: float, height: float, year: int, metres: float = 1.0
 ) -> Opening | None:
-    """The opening that an IES LM-63 file states.
+    """The opening that an IES LM-63 file states; None if its signs have no meaning in any edition.
 
-    Args:
-        width: across the opening along C = 90, with its sign.
-        length: along C = 0, with its sign.
-        height: with its sign.
-        year: of the edition. The tables of 1995 and of 2002 differ for three patterns of signs.
-        metres: length of the file's unit.
-
-    Returns:
-        The opening; None if the signs have no meaning in any edition.
+    The width is along C = 90, the length along C = 0, each with its sign, in units of `metres`. The
+    tables of 1995 and of 2002 differ for three patterns of signs.
     """
     given = [width, length, height]
     signs = (_sign(width), _sign(length), _sign(height))

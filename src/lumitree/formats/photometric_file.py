@@ -20,9 +20,6 @@ def read_photometry(path: str | os.PathLike[str]) -> tuple[IntensityDistribution
     """The intensities of an IES, EULUMDAT or TM-33 file, and their colour of luminance 1.
 
     None for GLDF files and ray files, whose light is not one distribution.
-
-    Raises:
-        LumitreeError: as of `read_ies`, `read_ldt` and `read_tm33`.
     """
     suffix = photometric_suffix(path) or ""
     if suffix == ".gldf" or suffix in RAY_SUFFIXES:
@@ -40,6 +37,6 @@ def read_again(path: str | os.PathLike[str]) -> IntensityDistribution | None:
 
 
 def details_of(path: str | os.PathLike[str]) -> Mapping[str, str]:
-    """What a photometric file states of how it was made; empty for other files."""
+    """How a photometric file states that it was made; empty for other files."""
     distribution = read_again(path) if photometric_suffix(path) in _READERS else None
     return {} if distribution is None else distribution.details

@@ -24,16 +24,7 @@ _TEXT = 78
 
 
 def read_text(path: str | os.PathLike[str], kind: str, parse: Callable[[str], T]) -> T:
-    """What `parse` makes of the text of a file; its errors name the file.
-
-    Args:
-        path: of the file.
-        kind: of file, for messages.
-        parse: takes text whose lines end in \\n, and raises `LumitreeError`.
-
-    Raises:
-        LumitreeError: the file is missing, too large, or `parse` refuses it.
-    """
+    """Result of `parse` for the text of a file, whose lines end in \\n; errors name the file."""
     text = decoded(read_bytes(path, f"an {kind}", MAX_FILE_BYTES))
     try:
         # Numbers of any size are checked where they are used.
@@ -53,11 +44,7 @@ def decoded(content: bytes) -> str:
 
 
 def number(text: str, what: str) -> float:
-    """A number with a decimal point or comma.
-
-    Raises:
-        LumitreeError: it is none, or not finite.
-    """
+    """A finite number with a decimal point or comma."""
     try:
         value = float(text.replace(",", "."))
     except ValueError:
@@ -68,11 +55,7 @@ def number(text: str, what: str) -> float:
 
 
 def integer(value: float, what: str, low: int, high: int) -> int:
-    """A number as an integer.
-
-    Raises:
-        LumitreeError: it is none, or out of range.
-    """
+    """A number as an integer from `low` to `high`."""
     if not (low <= value <= high and value == int(value)):
         raise LumitreeError(f"it has {value:g} {what}; expected {low} to {high}")
     return int(value)
@@ -84,13 +67,10 @@ def one_line(text: str) -> str:
 
 
 def date_of_writing() -> datetime.datetime:
-    """The date that a written file states.
+    """The date that a written file states: now, or SOURCE_DATE_EPOCH, seconds since 1970.
 
-    That of now, or of the environment variable SOURCE_DATE_EPOCH, seconds since 1970, with which
-    equal commands write equal files at any time (https://reproducible-builds.org).
-
-    Raises:
-        LumitreeError: the variable is not a number of seconds.
+    With this environment variable equal commands write equal files at any time
+    (https://reproducible-builds.org).
     """
     seconds = os.environ.get("SOURCE_DATE_EPOCH")
     if seconds is None:
@@ -104,13 +84,9 @@ def date_of_writing() -> datetime.datetime:
 
 
 def warn_of_flux(path: str | os.PathLike[str], lumens: float, stated: float, what: str) -> None:
-    """Warn of intensities whose flux is not what their file states.
+    """Warn of intensities whose flux, lm, is not what their file states; 0 if it states none.
 
-    Args:
-        path: of the file.
-        lumens: luminous flux of the intensities, lm.
-        stated: flux that the file states, lm; 0 if it states none.
-        what: how the file states it, for the message, such as "where it states 500 lm".
+    `what` says how the file states it, such as "where it states 500 lm".
     """
     if min(stated, lumens) > 0 and abs(lumens - stated) > _FLUX_ERROR * stated:
         warn_of_file(

@@ -85,8 +85,7 @@ def _power(items: dict[str, NDArray[np.float64]], efficacy: ArrayLike) -> NDArra
 def spectrum_of_a_watt(table: NDArray[np.float64]) -> NDArray[np.float64]:
     """Power per nm [471] at `WAVELENGTHS` of a spectral table; the watt has its invisible light.
 
-    Args:
-        table: [n, 2] wavelengths, nm, and weights, linear between them; of one, a line.
+    The table is [n, 2] wavelengths, nm, and weights, linear between them; one entry is a line.
     """
     total = np.trapezoid(table[:, 1], table[:, 0]) if len(table) > 1 else table[0, 1]
     return sampled_spectrum(*table.T, means=True) / max(float(total), 1e-300)

@@ -16,13 +16,7 @@ Widths = tuple[float | None, float | None, float | None]
 class StartCells:
     """The cells of a grid of 2**depth cells a side that are in a lamp's box.
 
-    Args:
-        frame: local frame of the lamp.
-        depth: of the grid.
-
-    Attributes:
-        side: cells a side of the grid.
-        middles: of each axis the middles of what is inside the box, ascending, local units.
+    `middles` has for each axis the middles of what is inside the box, ascending, in local units.
     """
 
     def __init__(self, frame: LocalFrame, depth: int) -> None:
@@ -36,15 +30,11 @@ class StartCells:
     def around(
         self, start: Array, widths: Widths = (None, None, None)
     ) -> Iterator[tuple[Codes, Array]]:
-        """The eight cells around each start, and their parts of it.
+        """Index [...] (x slowest) of each of the eight cells around a start, and its part of it.
 
-        Args:
-            start: [..., 3], local units.
-            widths: along each axis, of what a start stands for, at most that of a cell; cells then
-                get what of it is in them. None: their mean place is that of the start.
-
-        Yields:
-            For each of the eight, its index [...] in the grid (x slowest), and its part [...].
+        Starts [..., 3] and widths are in local units. A start stands for a width along each axis,
+        at most the width of a cell, and each cell gets what of it is inside. With None, the mean
+        place of the eight cells is the start.
         """
         ends = [
             self._neighbours(start[..., axis], axis)

@@ -43,19 +43,11 @@ _SYMMETRIES: dict[tuple[float, float], tuple[float, ...]] = {
 
 
 def completed(c: Array, gamma: Array, intensity: Array) -> tuple[Array, Array, Array]:
-    """Angles and intensities of the whole sphere from those of a Type C file.
+    """Angles and intensities [C, G] of the whole sphere from a Type C file's.
 
     One plane stands for rotational symmetry. Planes over a quarter or a half of the circle stand
     for symmetry about one or both of the planes C = 0 and C = 90. Where a file has no γ, it is
-    dark.
-
-    Args:
-        c: [C] ascending, degrees.
-        gamma: [G] ascending, within 0 to 180.
-        intensity: [C, G].
-
-    Raises:
-        LumitreeError: the angles are not ascending, out of range, or of no known symmetry.
+    dark. Angles are ascending, in degrees, γ within 0 to 180.
     """
     _check_ascending(c, gamma)
     if not 0 <= gamma[0] <= gamma[-1] <= 180:
@@ -80,15 +72,10 @@ def completed(c: Array, gamma: Array, intensity: Array) -> tuple[Array, Array, A
 
 
 def type_a(horizontal: Array, vertical: Array, intensity: Array) -> tuple[Array, Array, Array]:
-    """C, γ and intensities of the whole sphere of Type A photometry.
+    """C, γ and intensities of the whole sphere of Type A photometry, [H, V] as given.
 
-    Args:
-        horizontal: [H] ascending, from 0 (symmetry about H = 0) or from at least -180, degrees.
-        vertical: [V] ascending, from 0 (symmetry about V = 0) or from at least -90, degrees.
-        intensity: [H, V].
-
-    Raises:
-        LumitreeError: the angles are not ascending, out of range, or one alone.
+    Angles are ascending, in degrees: H from 0 (symmetry about H = 0) or from at least -180, V from
+    0 (symmetry about V = 0) or from at least -90.
     """
     _check_half_space("A", horizontal, vertical, (180, 90))
     return _about_axis(horizontal, vertical, intensity)
@@ -131,8 +118,7 @@ def on_grid(turned: Turned) -> tuple[Array, Array, Array]:
 def without_noise(intensity: Array) -> tuple[Array, float]:
     """Intensities with 0 for small negative ones, and the most negative of these.
 
-    Raises:
-        LumitreeError: an intensity is more negative than 0.1 % of the largest.
+    One more negative than 0.1 % of the largest is refused.
     """
     least, largest = float(intensity.min(initial=0)), float(intensity.max(initial=0))
     if least < -_NOISE * largest:

@@ -197,7 +197,7 @@ def _parse(content: bytes, path: str | os.PathLike[str]) -> tuple[Rays, str]:
 def _compare_totals(
     path: str | os.PathLike[str], stated: float, total: float, kind: str, unit: str
 ) -> None:
-    """Warn of a header whose flux is not that of the rays; NaN and 0 stand for an unknown flux."""
+    """Warn of a header whose flux is not the rays'; NaN and 0 stand for an unknown flux."""
     if math.isfinite(stated) and stated > 0 and abs(total - stated) > _TOTAL_ERROR * stated:
         warn_of_file(
             path,

@@ -6,7 +6,7 @@ Symbols
     node    a pair (C, γ) of a grid; between nodes, intensity is interpolated bilinearly in C and γ
     hat     the bilinear weight of a node: 1 there, 0 at its neighbours
 
-The frame is that of a luminaire's file: y is up, so a direction is
+The frame is the luminaire file's: y is up, so a direction is
 (sin γ cos C, -cos γ, -sin γ sin C).
 """
 
@@ -40,7 +40,7 @@ def angles_of(direction: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.flo
     """Angles C, 0 to 360, and γ, 0 to 180 [...], degrees, of directions [..., 3] of any length."""
     x, y, z = np.moveaxis(np.asarray(direction, np.float64), -1, 0)
     gamma = np.rad2deg(np.arctan2(np.hypot(x, z), -y))
-    # Of a tiny negative angle the remainder is 360.
+    # The remainder of a tiny negative angle is 360.
     return np.rad2deg(np.arctan2(-z, x)) % 360.0 % 360.0, gamma
 
 

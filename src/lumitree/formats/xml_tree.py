@@ -14,14 +14,8 @@ _MAX_DEPTH, _MAX_ELEMENTS, _MAX_ATTRIBUTES = 256, 1 << 19, 1 << 20
 def parse_xml(content: bytes, name: str, expected: str) -> Element:
     """Root of an XML file in any encoding, whose tags and attributes are without namespaces.
 
-    Args:
-        content: of the file.
-        name: of the file, for messages.
-        expected: what it should be, for messages.
-
-    Raises:
-        LumitreeError: it is not well-formed, declares entities, is larger than 32 MiB or nested
-            too deeply, or has more than 2¹⁹ elements or 2²⁰ attributes.
+    Entities, more than 32 MiB, 2¹⁹ elements or 2²⁰ attributes, and deep nesting are refused. `name`
+    and `expected` are for messages.
     """
     if len(content) > MAX_BYTES:
         raise LumitreeError(
@@ -67,15 +61,9 @@ def parse_xml(content: bytes, name: str, expected: str) -> Element:
 
 
 def number_of(element: Element, name: str, default: float | None = None) -> float:
-    """A number that is an attribute, or the text of a child element.
+    """A finite number that is an attribute, or the text of a child element.
 
-    Args:
-        element: that has it.
-        name: of the attribute or child.
-        default: if it is missing or blank; None if it must be there.
-
-    Raises:
-        LumitreeError: it is missing, or not a finite number.
+    `default` is for one that is missing or blank; without it, the number must be there.
     """
     text = (element.get(name) or element.findtext(name) or "").strip()
     if not text and default is not None:

@@ -73,14 +73,8 @@ class GlassLookup:
     ) -> tuple[mi.Float, mi.Float, mi.Float, mi.Float]:
         """Photons that microfacets scatter more than once, by the side that they arrive from.
 
-        Args:
-            inside: whether they arrive in the denser medium.
-            roughness: of the surface.
-            squared: square of the index of refraction.
-
-        Returns:
-            Parts that stay on their side and that cross; and means of 1 - E on their side and on
-            the other one.
+        Parts that stay on their side and that cross; and means of 1 - E on their side and on the
+        other one. `inside` is the denser medium; `squared` the square of the index of refraction.
         """
         lost = [dr.maximum(1 - mean, 1e-6) for mean in self._mean(0.5, roughness)]
         here, there = dr.select(inside, lost[1], lost[0]), dr.select(inside, lost[0], lost[1])

@@ -22,16 +22,9 @@ _PARAMETERS = {"temperature": None, "wavelength_min": 360.0, "wavelength_max": 8
 
 
 def replace_blackbodies(file: Any) -> list[str]:
-    """Replace the black bodies of a scene file's emitters by their radiance, W/(m² sr).
+    """Replace the black bodies of a `SceneFile`'s emitters by their radiance, W/(m² sr).
 
-    Args:
-        file: `SceneFile`, whose nodes are changed.
-
-    Returns:
-        One line for each temperature, which says what radiance was taken.
-
-    Raises:
-        LumitreeError: a black body has no temperature, or one out of range.
+    Returns a line for each temperature, which says what radiance was taken.
     """
     taken: dict[str, list[str]] = {}
     owners = [*file.nodes("Shape"), *file.nodes("Emitter")]
@@ -72,11 +65,7 @@ def _radiance_property(radiance: RGB, body: tuple[float, float, float]) -> Any:
 
 
 def blackbody_of(props: Any) -> tuple[float, float, float]:
-    """Temperature, K, and shortest and longest wavelength, nm, of the plugin `blackbody`.
-
-    Raises:
-        LumitreeError: one of them is no number.
-    """
+    """Temperature, K, and shortest and longest wavelength, nm, of the plugin `blackbody`."""
     values = []
     for name, default in _PARAMETERS.items():
         value = props.get(name, default)

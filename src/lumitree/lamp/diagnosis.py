@@ -134,9 +134,8 @@ def _nesting_faults(
 ) -> tuple[set[tuple[int, int]], set[int]]:
     """Pairs of shapes that overlap or are nested, and shapes that are inside out.
 
-    Args:
-        crossings: crossings with closed shapes, so that the steps of each line sum to 0.
-        touching: pairs of shapes that touch; the order of their crossings is not reliable.
+    The crossings are with closed shapes, so that the steps of each line sum to 0. Where shapes
+    touch, the order of their crossings is not reliable.
     """
     depth = np.cumsum(crossings.step)
     suspicious = np.unique(crossings.line[(depth < 0) | (depth > 1)])

@@ -41,17 +41,16 @@ class SurfacePoint:
     # fmt: off
     si: mi.SurfaceInteraction3f  # As a ray that hits the point along -n has it
     density: mi.Float            # Probability per unit of area; 0 where nothing was sampled
-    index: mi.UInt32             # Of the shape
+    index: mi.UInt32             # of the shape
     emitter: mi.EmitterPtr
     # fmt: on
 
     def towards(self, it: mi.Interaction3f) -> tuple[mi.DirectionSample3f, mi.Float]:
-        """Direction from a vertex to the point, whose `si.wi` is turned to the vertex.
+        """Direction from a vertex to the point, whose `si.wi` is turned to the vertex; and its PDF.
 
-        Returns:
-            The direction, and its density per steradian. `DirectionSample3f.pdf` is left for the
-            caller: `pdf_direction` does not know the triangle, so weights of multiple importance
-            sampling use another density, on both sides. They add up to 1 with any.
+        `DirectionSample3f.pdf` is left for the caller: `pdf_direction` does not depend on the
+        triangle, so weights of multiple importance sampling use another density, on both sides.
+        They add up to 1 with any.
         """
         ds, si = dr.zeros(mi.DirectionSample3f), self.si
         ds.p, ds.n, ds.uv, ds.time = si.p, si.sh_frame.n, si.uv, it.time

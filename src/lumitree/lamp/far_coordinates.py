@@ -12,16 +12,14 @@ from lumitree.errors import LumitreeWarning, shown_names
 def origin_near(box: NDArray[np.float64], tolerance: float = 1) -> NDArray[np.float64]:
     """[3] an origin near a box [2, 3], if its coordinates are too coarse in float32; else 0.
 
-    Args:
-        box: smallest and largest corner.
-        tolerance: how many times as coarse they may be.
+    They may be `tolerance` times as coarse.
     """
     # Not even the size of a damaged lamp need be finite.
     with np.errstate(over="ignore", invalid="ignore"):
         size = tolerance * np.ptp(box, axis=0).max()
     if not np.isfinite(box).all() or not is_far(box, size):
         return np.zeros(3)
-    # What float32 represents exactly, so that vertices of mesh files are moved exactly.
+    # Exact in float32, so that vertices of mesh files are moved exactly.
     return box.mean(axis=0).astype(np.float32).astype(np.float64)
 
 
@@ -31,12 +29,10 @@ def warn_of_far_meshes(
     centre: NDArray[np.float64],
     mesh_files: list[tuple[str, NDArray[np.float64]]],
 ) -> None:
-    """Tell of mesh files with vertices so far from their own origin that float32 rounds them.
+    """Warn of mesh files with vertices so far from their own origin that float32 rounds them.
 
-    Args:
-        name: of the lamp.
-        size, centre: of its bounding box, in the frame of its scene.
-        mesh_files: name of each, and where its origin is.
+    Size and centre are of the lamp's bounding box, in the frame of its scene, where the origins of
+    the files are too.
     """
     # A mesh is about where the lamp is.
     reach = {file: place - centre for file, place in mesh_files}

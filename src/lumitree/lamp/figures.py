@@ -11,14 +11,10 @@ from lumitree.lamp.parts import Colour, Geometry, Glass, Material, Part, Texture
 
 @dataclasses.dataclass(frozen=True)
 class Figures:
-    """A lamp in numbers.
+    """A lamp in numbers, of all copies of all parts.
 
-    Attributes:
-        triangles: of all copies of all parts.
-        emitters: copies of parts that emit.
-        emitted_radiance: the largest channel that any surface emits, W/(m² sr).
-        size: sides of the bounding box along x, y and z, the lamp's unit.
-        has_media: whether glass is filled with a medium.
+    `emitted_radiance` is the largest channel that any surface emits, W/(m² sr); `size` the sides of
+    the bounding box, in the lamp's unit.
     """
 
     triangles: int

@@ -60,11 +60,7 @@ class Crossings:
 
 
 def trace_lines(shapes: Sequence[Any]) -> Crossings:
-    """Crossings with the surfaces of shapes, along three directions that are not axes.
-
-    Args:
-        shapes: mi.Shape with refracting BSDFs; at least one.
-    """
+    """Crossings with the surfaces of refracting shapes, along three directions that are no axes."""
     meshes = {i: _Mesh.of(shape) for i, shape in enumerate(shapes) if shape.is_mesh()}
     sides = [_denser_side(shape) for shape in shapes]
     # Lines along the axes would often be parallel to faces, or meet edges.

@@ -94,8 +94,9 @@ def _luminaire_of_source(luminaire: Opened) -> Luminaire:
     media = file.nodes("Medium")
     _check_media(str(file.path), {node.props.plugin_name() for node in media})
     fingerprint = fingerprint_of(file, source)
-    named = source.name in BUILTIN
-    name = source.name if named else _folder_and_name(source.name)
+    # Many files are called luminaire.xml, so the name includes the folder.
+    path = Path(source.name)
+    name = source.name if source.name in BUILTIN else f"{path.resolve().parent.name}/{path.stem}"
     if isinstance(luminaire, Mapping):
         name = str(luminaire.get("id", "dictionary"))
     for note in file.notes:
@@ -170,7 +171,8 @@ def _luminaire_of_scene(scene: Any) -> Luminaire:
     digest = hashlib.sha256(repr(scene).encode())
     for key, value in load_mitsuba().traverse(scene):
         digest.update(key.encode())
-        digest.update(repr(value).encode() if not hasattr(value, "numpy") else _bytes_of(value))
+        is_array = hasattr(value, "numpy")
+        digest.update(np.array(value).tobytes() if is_array else repr(value).encode())
     shapes = tuple(shape_of_object(*item) for item in enumerate(scene.shapes()))
     luminaire = _luminaire("scene", digest.hexdigest(), scene, bool(media), shapes)
     if luminaire.frame.is_far:
@@ -183,10 +185,6 @@ def _luminaire_of_scene(scene: Any) -> Luminaire:
             stacklevel=3,
         )
     return luminaire
-
-
-def _bytes_of(value: Any) -> bytes:
-    return np.ascontiguousarray(np.array(value)).tobytes()
 
 
 def _check_media(what: str, kinds: set[str]) -> None:
@@ -209,8 +207,3 @@ def _bounding_radius(scene: Any, frame: LocalFrame) -> float:
         if len(points):
             farthest = max(farthest, float(np.linalg.norm(points - frame.centre, axis=1).max()))
     return min(farthest / frame.scale, float(np.linalg.norm(frame.half_extents)))
-
-
-def _folder_and_name(path: str) -> str:
-    # Many files are called luminaire.xml, so the name includes the folder.
-    return f"{Path(path).resolve().parent.name}/{Path(path).stem}"

@@ -1,4 +1,4 @@
-"""What surfaces emit that are not everywhere present.
+"""Emission of surfaces with an opacity mask.
 
 Mitsuba's emitters also emit where a mask lets light through. So the radiance that is written is
 that of the material times its opacity.
@@ -18,7 +18,7 @@ from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.lamp.meshes import Floats, Mesh
 from lumitree.lamp.parts import RGB, Colour, Material, Texture, Value, VertexColour
 
-# Of all products of one model.
+# For all products of one model.
 _MAX_BYTES = 5 * 2**28
 # Points at which the opacity of a mesh is looked up, about.
 _POINTS = 1 << 18
@@ -31,13 +31,10 @@ class MaskedEmission:
         self._made: dict[Hashable, NDArray[np.float32]] = {}
 
     def of(self, material: Material) -> Colour | None:
-        """What a material emits; None for nothing.
+        """Emission of a material; None for nothing.
 
-        The mean of an opacity whose texture coordinates are not those of the radiance, after a
+        The mean of an opacity whose texture coordinates differ from the radiance's, after a
         warning.
-
-        Raises:
-            LumitreeError: the products of the model are too large.
         """
         radiance, opacity = material.radiance, material.opacity
         if radiance is None or (not isinstance(opacity, Texture) and opacity == 0):

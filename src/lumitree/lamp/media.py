@@ -55,11 +55,7 @@ def absorption(medium: Any) -> list[float] | None:
 
 
 def stored_medium(medium: Any) -> Any:
-    """What the model of an asset stores of a homogeneous mi.Medium (`asset.geometry_media`).
-
-    Raises:
-        LumitreeError: it scatters by a phase function that is not stored.
-    """
+    """The record (`asset.geometry_media`) of a homogeneous mi.Medium."""
     found = [np.ravel(np.array(each, np.float64)) for each in _coefficients(medium)]
     scattering, extinction = found[0], found[2]
     anisotropy = _anisotropy(medium.phase_function()) if scattering.any() else 0.0

@@ -45,15 +45,11 @@ def join(meshes: Iterable[Mesh]) -> Mesh:
 
 
 def lathe(profile: ArrayLike, segments: int, crease: float = 35.0) -> Mesh:
-    """Surface of revolution about the y axis.
+    """Surface of revolution of a profile [N, 2], radius and y, about the y axis.
 
-    Args:
-        profile: [N, 2] radius (at least 0) and y; followed upwards, the normals point away from
-            the axis, so a solid's profile runs counter-clockwise from axis to axis. Only its two
-            ends may lie on the axis.
-        segments: number of facets around the axis.
-        crease: profile corners sharper than this angle, degrees, are shaded with a hard edge
-            (two rings of vertices in one place); the others are smooth.
+    Followed upwards, the normals point away from the axis, so a solid's profile runs
+    counter-clockwise from axis to axis. Only its two ends may lie on the axis. Corners sharper than
+    `crease` degrees get a hard edge (two rings of vertices in one place); others are smooth.
     """
     profile = np.asarray(profile, np.float64)
     steps = np.diff(profile, axis=0)
@@ -110,12 +106,9 @@ def moved(mesh: Mesh, place: Floats) -> Mesh:
 
 
 def sweep(path: ArrayLike, radius: ArrayLike, segments: int) -> Mesh:
-    """Closed tube along a path, with slightly domed ends.
+    """Closed tube along a path [N, 3], with slightly domed ends; [N] radii may change slowly.
 
-    Args:
-        path: [N, 3] centre line; its radius of curvature must exceed the tube's radius.
-        radius: of the tube, or [N] radii that change slowly along it.
-        segments: number of facets around the tube.
+    The path's radius of curvature must exceed the tube's radius.
     """
     path = np.asarray(path, np.float64)
     tangent, side, up = frames(path)
@@ -151,16 +144,9 @@ def frames(path: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def coil(path: ArrayLike, radius: float, pitch: float, samples: int) -> Floats:
-    """Helix around a path; over its first and last turn it winds out of and into the path's ends.
+    """Helix [M, 3] around a path [N, 3]; first and last turn wind out of and into its ends.
 
-    Args:
-        path: [N, 3] axis of the helix.
-        radius: of the helix.
-        pitch: advance along the path for one turn.
-        samples: points for one turn.
-
-    Returns:
-        Points [M, 3].
+    It advances along the path by `pitch`, in `samples` points, for one turn.
     """
     path = np.asarray(path, np.float64)
     length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
@@ -207,10 +193,8 @@ def _ring(point: Floats, segments: int) -> Floats:
 def skin(rings: Floats, normals: Floats, joined: NDArray[np.bool_]) -> Mesh:
     """Join closed rings of vertices by triangles; a ring in a single point becomes one vertex.
 
-    Args:
-        rings: [R, S, 3] positions, counter-clockwise seen from ahead of the last ring.
-        normals: [R, S, 3] unit shading normals.
-        joined: [R - 1] whether there are triangles between a ring and the next.
+    Rings [R, S, 3] are counter-clockwise seen from ahead of the last ring; normals are unit
+    vectors. `joined` [R - 1] says whether there are triangles between a ring and the next.
     """
     count, segments, _ = rings.shape
     pole = np.ptp(rings, axis=1).max(axis=1) == 0

@@ -44,7 +44,7 @@ _DEFAULTS = {
 # Reflectance of the clear coat at normal incidence; and a bound of the variance of Schlick's factor
 # over the hemisphere: two layers transmit more than the product of their mean transmittances.
 _COAT, _COAT_VARIANCE = 0.04, 0.0145
-# Numbers of the lobes; the coat's is that of the facets for Mitsuba.
+# Numbers of the lobes; Mitsuba gets the facets' number for the coat.
 _BASE, _FACET, _BEHIND, _CROSSED, _OF_COAT = range(5)
 
 
@@ -70,7 +70,7 @@ class _Point:
         self.inside = below & (bsdf.glass is not None)
         self.active = active & (si.wi.z != 0 if bsdf.has_back else si.wi.z > 0)
         self.radiance = ctx.mode == mi.TransportMode.Radiance
-        # Of base, facets, base behind, crossed and coat.
+        # For base, facets, base behind, crossed and coat.
         used = [ctx.is_enabled(kind, i) for i, kind in enumerate(bsdf.kinds)]
         self.enabled = [*used, *[False] * (_OF_COAT - len(used)), used[_FACET]]
         self._read(si)
@@ -169,11 +169,7 @@ class _Point:
         self.pmf = [dr.select(total > 0, weight / total, 0) for weight in weights]
 
     def scattered(self, cosine: mi.Float) -> tuple[mi.Spectrum, mi.Spectrum, mi.Float]:
-        """What a microfacet does with light at an angle to its normal.
-
-        Returns:
-            Factors of reflected and of transmitted light; and the probability of a reflection.
-        """
+        """Factors of reflected and transmitted light of a microfacet; probability of reflection."""
         bsdf, grazing = self.bsdf, _schlick(cosine)
         layer = self.layer(1 - grazing, grazing)
         reflected = self.metal * (self.base * (1 - grazing) + grazing) + self.opaque * layer

@@ -56,11 +56,7 @@ def reflection_albedo() -> Floats:
 
 @functools.lru_cache(maxsize=64)
 def glass_albedo(ior: float) -> GlassAlbedo:
-    """The albedo of the surface of a dielectric.
-
-    Args:
-        ior: index of refraction inside over the one outside, above 1.
-    """
+    """The albedo of a dielectric's surface; `ior` is inside over outside, above 1."""
 
     def side(eta: float, alpha: float, cosine: float) -> tuple[float, float]:
         normal, facing = _visible_normals(alpha, cosine)
@@ -77,13 +73,9 @@ def glass_albedo(ior: float) -> GlassAlbedo:
 
 
 def hemisphere_mean(table: Floats) -> Floats:
-    """Mean of a table over the cosine-weighted hemisphere, linear between its entries.
+    """Mean [..., C] of a table over the cosine-weighted hemisphere, linear between its entries.
 
-    Args:
-        table: [..., SIZE, C], the root of the cosine along the last axis but one.
-
-    Returns:
-        [..., C].
+    The table is [..., SIZE, C], with the root of the cosine along the last axis but one.
     """
     # The density of the root x is 4 x³; three points of Gauss and Legendre are exact.
     points, weights = np.polynomial.legendre.leggauss(3)
@@ -140,8 +132,7 @@ def _unshadowed(alpha: float, cosine: Floats) -> Floats:
 def _fresnel(cosine: Floats, eta: float) -> tuple[Floats, Floats]:
     """Reflected part, and cosine of the refracted direction, 0 where all is reflected.
 
-    Args:
-        eta: index of refraction behind the surface over the one before it.
+    `eta` is the index of refraction behind the surface over the one before it.
     """
     behind = np.sqrt(np.maximum(1 - (1 - cosine**2) / eta**2, 0))
     parallel = (eta * cosine - behind) / np.maximum(eta * cosine + behind, 1e-12)

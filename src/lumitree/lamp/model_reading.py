@@ -22,12 +22,7 @@ from lumitree.lamp.source import LuminaireSource, as_source
 
 
 def read_model(source: str | os.PathLike[str] | LuminaireSource) -> Geometry:
-    """Geometry of a built-in luminaire or a model file with its overrides, in metres, y up.
-
-    Raises:
-        LumitreeError: the file cannot be read, its overrides are invalid, a pattern matches
-            nothing, or nothing emits.
-    """
+    """Geometry of a built-in luminaire or a model file with its overrides, in metres, y up."""
     source = as_source(source)
     path = Path(source.name)
     if source.name in BUILTIN:

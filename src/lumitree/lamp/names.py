@@ -14,11 +14,6 @@ class Names:
     """Makes names that are unique, also where upper and lower case are not distinguished."""
 
     def __init__(self, separator: str) -> None:
-        """Start empty.
-
-        Args:
-            separator: between a name and the number that makes it unique.
-        """
         self._separator = separator
         self._taken: set[str] = set()
         self._numbers: dict[str, int] = {}
@@ -44,14 +39,7 @@ def select_names(
     kind: str,
     listed: Sequence[str] | None = None,
 ) -> list[bool]:
-    """Which of the things are kept, each known by one or more names.
-
-    Args:
-        file, kind, listed: as of `matching`.
-
-    Raises:
-        LumitreeError: a pattern matches nothing, or nothing is left.
-    """
+    """Which things are kept, each known by one or more names; patterns must match something."""
     how = "" if listed is None else f"; 'lumitree preview {file} --keep \"*\"' lists them all"
     kept, dropped = (
         [matching(each, option, names, file, kind, listed, how) for each in patterns]

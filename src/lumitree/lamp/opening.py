@@ -33,7 +33,7 @@ _NOT_LUMINAIRES: dict[str, str] = {
 _INVISIBLE = ("directionalarea",)
 
 
-# Of a version of a file: its path, time, size and inode.
+# A version of a file: its path, time, size and inode.
 Stamp = tuple[str, int, int, int]
 Opened = str | os.PathLike[str] | LuminaireSource | Mapping[str, Any]
 
@@ -63,10 +63,7 @@ def _stamp(path: Path) -> Stamp:
 def _written(
     source: LuminaireSource, stamps: tuple[Stamp, ...]
 ) -> tuple[Path, ScratchFolder, tuple[Stamp, ...]]:
-    """The scene written for a source, its folder, and the files that its model names.
-
-    `stamps` identify versions of the source's own files.
-    """
+    """The scene written for a source, its folder, and the files that its model names."""
     folder = ScratchFolder()
     with noted_files() as files:
         path = write_scene(read_model(source), folder.path)
@@ -148,10 +145,6 @@ def scene_path(source: LuminaireSource) -> tuple[Path, ScratchFolder | None]:
 
     Built-in luminaires and models are written to a temporary folder. A model is written again when
     the model or its overrides have changed.
-
-    Raises:
-        LumitreeError: the name or the format is unknown, the file cannot be read, or its overrides
-            are invalid.
     """
     path = Path(source.name)
     builtin = source.name in BUILTIN

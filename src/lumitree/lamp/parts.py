@@ -202,11 +202,7 @@ class Part:
 
 
 def check_shapes(count: int, where: str) -> None:
-    """Refuse more than `MAX_SHAPES` shapes; each place of each part is a shape.
-
-    Args:
-        where: what brings the number to `count`, for the message.
-    """
+    """Refuse more than `MAX_SHAPES` shapes, one for each place of each part, in `where`."""
     if count > MAX_SHAPES:
         raise LumitreeError(
             f"{where} brings the model to {count} shapes; at most {MAX_SHAPES} are read: join "

@@ -27,11 +27,7 @@ from lumitree.lamp.spectra import spectra_of_emitters
 
 
 def refuse_kind(source: object, what: str) -> NoReturn:
-    """Refuse a scene or a luminaire that is neither a name nor a dictionary.
-
-    Args:
-        what: "a scene" or "a luminaire".
-    """
+    """Refuse `what`, "a scene" or "a luminaire", that is neither a name nor a dictionary."""
     kind = type(source)
     if kind.__name__ == "Scene" and kind.__module__.startswith("mitsuba"):
         raise LumitreeError(
@@ -74,7 +70,7 @@ class SceneFile:
         self._kept = folder
         # Numbers of nodes, from `copy_instances`.
         self._mirrored: frozenset[int] = frozenset()
-        # Relative names in a dictionary are those of the working folder.
+        # Relative names in a dictionary start in the working folder.
         self.path, self._folder, self._name = Path(), Path(), "the scene's dictionary"
         if not isinstance(source, Mapping):
             self.path = Path(source)
@@ -106,9 +102,9 @@ class SceneFile:
             self._select(keep, drop)
         # Last, because equal BSDFs become one, with one id.
         mi.parser.transform_merge_equivalent(self._config, self._state)
-        # Of emitters, by their ids.
+        # Spectra of emitters, by their ids.
         self.spectra = spectra_of_emitters(self)
-        # What has been read in another way than Mitsuba would; one line each.
+        # Properties read in another way than by Mitsuba; one line each.
         self.notes = replace_blackbodies(self)
 
     def _root(self, kind: str) -> list[tuple[str, Any]]:
@@ -202,7 +198,7 @@ class SceneFile:
         return found
 
     def mirrored(self) -> list[bool]:
-        """Of each node of `nodes("Shape")`, whether it is a copy of a mirrored instance."""
+        """Whether each node of `nodes("Shape")` is a copy of a mirrored instance."""
         numbers = sorted(self._reached({0}))
         shapes = [each for each in numbers if self._is_a(self._state.nodes[each], "Shape")]
         return [each in self._mirrored for each in shapes]
@@ -254,7 +250,7 @@ class SceneFile:
         return np.stack([np.fmin.reduce(box[:, 0]), np.fmax.reduce(box[:, 1])])
 
     def _placed_shapes(self) -> list[Any]:
-        """Properties of the shapes whose transform is that of the scene.
+        """Properties of the shapes whose transform is the scene's own.
 
         Shapes of a group are placed by its instances.
         """

@@ -11,12 +11,9 @@ from lumitree.core.backend import load_mitsuba
 def copy_instances(state: Any) -> frozenset[int]:
     """Replace the instances of a parsed scene by copies, which are placed in double precision.
 
-    Args:
-        state: mi.parser.ParserState, after `transform_all`; changed.
-
-    Returns:
-        Numbers of the nodes that are copies of mirrored instances. Mitsuba turns the normals of a
-        mesh whose own transform mirrors it, but not those of a mirrored instance.
+    `state` is mi.parser.ParserState, after `transform_all`. Returns numbers of the nodes that are
+    copies of mirrored instances: Mitsuba turns the normals of a mesh whose own transform mirrors
+    it, but not the normals of a mirrored instance.
     """
     mi = load_mitsuba()
     root = state.nodes[0].props

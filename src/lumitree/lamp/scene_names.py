@@ -14,13 +14,10 @@ _MAX_NAME = 1000
 
 @dataclasses.dataclass
 class SceneNames:
-    """What a scene names, with the scenes that it includes.
+    """All files that a scene names, itself included, and the scenes among them that it includes.
 
-    Attributes:
-        files: the scene, and all files that attributes name.
-        included: the scenes among them that it includes, in their order.
-        complete: whether these are all. Names with parameters, and names that are looked up in
-            other folders than that of the scene, are not known.
+    Names with parameters, and names that are looked up in other folders than the scene's, are not
+    known; the names are then not `complete`.
     """
 
     files: set[Path] = dataclasses.field(default_factory=set)
@@ -29,18 +26,14 @@ class SceneNames:
 
 
 def scene_names(path: Path) -> SceneNames:
-    """The files that a scene names, which Mitsuba has read.
-
-    Raises:
-        LumitreeError: it cannot be read.
-    """
+    """The files that a scene names, which Mitsuba has read."""
     names = SceneNames()
     _add_names(path, path.parent, names)
     return names
 
 
 def _add_names(path: Path, folder: Path, names: SceneNames) -> None:
-    """Add what a scene names; `folder` is that of the outermost one."""
+    """Add what a scene names; `folder` is the outermost scene's."""
     names.files.add(path)
     included = []
 

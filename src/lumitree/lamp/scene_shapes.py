@@ -7,7 +7,7 @@ from typing import Any
 from lumitree.core.backend import load_mitsuba
 from lumitree.errors import shown
 
-# Of keys that Mitsuba gives to elements without a name.
+# Keys that Mitsuba gives to elements without a name begin so.
 _UNNAMED = "_arg_"
 # Class of Mitsuba that holds the shapes which instances repeat. `Scene.shapes` leaves it out.
 _GROUP = "ShapeGroupPlugin"
@@ -30,7 +30,7 @@ class SceneShape:
         emitter: likewise.
         attributes: names of the mesh attributes that its BSDF and its emitter use.
 
-    Of a `mi.Scene` there are classes in place of plugins.
+    A `mi.Scene` has classes in place of plugins.
     """
 
     number: int | None
@@ -61,9 +61,7 @@ class SceneShape:
 def shape_of_node(number: int, key: str, node: Any, file: Any) -> SceneShape:
     """The shape of a node of a `SceneFile`, before it is created.
 
-    Args:
-        number: see `SceneShape`.
-        key: under which the scene holds the node: the attribute `name`, or made by Mitsuba.
+    The scene holds it under `key`: the attribute `name`, or made by Mitsuba.
     """
     types = load_mitsuba().ObjectType
     held = file.children(node.props).values()
@@ -121,7 +119,7 @@ def shape_groups(scene: Any) -> list[Any]:
 
 
 def shapes_of_scene(scene: Any, shapes: Sequence[SceneShape]) -> Sequence[SceneShape]:
-    """The shapes of a mi.Scene, as those of its file where they are the same."""
+    """The shapes of a mi.Scene, taken from its file where they are the same."""
     made = scene.shapes()
     if len(made) == len(shapes):
         return shapes

@@ -41,7 +41,7 @@ from lumitree.lamp.parts import (
 from lumitree.lamp.scene_shapes import SceneShape
 
 SCENE_FILE = "luminaire.xml"
-# Of the ids of materials.
+# Prefix of the ids of materials.
 _PREFIX = "material_"
 # Roughness below which a surface is smooth: the geometry of an asset has no smaller alpha than its
 # square.
@@ -331,7 +331,7 @@ def _rounded(values: Floats, decimals: int) -> np.ndarray:
 def _transform(parent: Element, name: str, matrix: Floats, *, exact: bool = False) -> None:
     """A matrix of 9 digits; or of all, where 9 are too few for large coordinates."""
     transform = SubElement(parent, "transform", name=name)
-    # As those of meshes with integer coordinates, whose unit is tiny.
+    # For example of meshes with integer coordinates, whose unit is tiny.
     largest = float(np.abs(matrix[:3, :3]).max())
     decimals = 9 if largest >= 1e-3 or largest == 0 else 9 - math.floor(math.log10(largest))
     numbers = (matrix.round(decimals) + 0.0).ravel().tolist()

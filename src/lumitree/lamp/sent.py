@@ -51,7 +51,7 @@ def received_luminaire(data: bytes) -> Luminaire:
     """The luminaire that was sent to this process; its warnings are given where it was sent.
 
     Raises:
-        LumitreeError: its files differ from those of the process that sent it.
+        LumitreeError: its files differ from the files of the process that sent it.
     """
     source, fingerprint = unpacked(data)
     from lumitree.lamp.loading import load_luminaire

@@ -1,4 +1,4 @@
-"""What a source of light is: an asset, a photometric file, a dataset or a luminaire."""
+"""Kinds of sources of light: an asset, a photometric file, a dataset or a luminaire."""
 
 import dataclasses
 import os
@@ -108,7 +108,7 @@ def photometric_suffix(name: str | os.PathLike[str]) -> str | None:
     try:
         return suffix if suffix == ".xml" and what_it_is(path) == TM33 else None
     except OSError:
-        # What opens it says why it cannot be read.
+        # The function that opens it says why it cannot be read.
         return None
 
 

@@ -15,15 +15,13 @@ Samples = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
 def spectra_of_emitters(file: Any) -> dict[str, Samples]:
-    """The spectra of a scene file's surfaces that emit one, by the ids of their emitters.
+    """The spectra of a `SceneFile`'s surfaces that emit one, by the ids of their emitters.
 
     Emitters without an id of their own get one. Colours (RGB, textures, numbers) are no spectra.
-
-    Args:
-        file: `SceneFile`, before black bodies are replaced.
+    Black bodies must still be in the file.
     """
     emitters = file.nodes("Emitter")
-    # Of a dictionary, several may have one.
+    # In a dictionary, several may have one.
     ids = collections.Counter(node.props.id() for node in emitters)
     found = {}
     for number, node in enumerate(emitters):

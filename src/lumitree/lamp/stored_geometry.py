@@ -27,7 +27,7 @@ _TRAVERSED = {
     "colours": VERTEX_COLOUR,
     "faces": "faces",
 }
-# Of all copies of instances; an asset has 36 bytes for each.
+# For all copies of instances; an asset has 36 bytes for each.
 _MAX_PRIMITIVES = 20_000_000
 _BITMAP = ("filename", "raw", "filter_type", "wrap_mode", "to_uv")
 
@@ -97,7 +97,7 @@ class _Reader:
         return _joined(meshes, others, self._images, self._materials, origin)
 
     def _describe(self, props: Any) -> Json:
-        """What a shape has besides its geometry."""
+        """Properties of a shape besides its geometry."""
         plugin = props.plugin_name()
         radiance, material = None, None
         for child in self._children(props).values():
@@ -183,7 +183,7 @@ class _Reader:
     def _image(self, path: Path, raw: bool) -> int:
         """Index of the image of a file: 8 bits a channel as they are, others as linear numbers.
 
-        Raw ones are numbers already, also where the file's are sRGB, as those of PNG files.
+        Raw ones are numbers already, also where the file's are sRGB, as in PNG files.
         """
         mi = load_mitsuba()
         key = (path, raw)
@@ -217,7 +217,7 @@ def _plain(name: str, value: Any) -> Any:
 
 def _colour(props: Any, name: str) -> Any:
     """A spectrum as the RGB, or the number, that RGB variants of Mitsuba take it for."""
-    # What may exceed 1, and what is light.
+    # Values that may exceed 1, and values that are light.
     if name == "radiance":
         texture = props.get_emissive_texture(name)
     elif name in ("eta", "k"):

@@ -17,11 +17,7 @@ _registered: set[str | None] = set()
 
 
 def replace_textured_areas(state: Any) -> None:
-    """Let area emitters with a texture be emitters `lumitree_area`.
-
-    Args:
-        state: mi.parser.ParserState of a scene, whose nodes are changed.
-    """
+    """Let area emitters with a texture in a mi.parser.ParserState be emitters `lumitree_area`."""
     for node in state.nodes:
         props = node.props
         if node.type == mi.ObjectType.Emitter and props.plugin_name() == "area":
@@ -101,7 +97,7 @@ def _emitter_class() -> type:
             return si.spawn_ray(si.to_world(local)), weight
 
         def sample_position(self, time, sample, active=True):
-            # Of light tracing, where it connects the surface with the camera.
+            # For light tracing, where it connects the surface with the camera.
             ps = self.get_shape().sample_position(time, sample, active)
             return ps, dr.select(ps.pdf > 0, dr.rcp(ps.pdf), 0)
 

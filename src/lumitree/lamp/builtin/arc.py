@@ -20,7 +20,7 @@ from lumitree.lamp.meshes import Floats, Mesh, join, lathe, moved, resample, smo
 from lumitree.lamp.parts import Geometry, Material, Metal, Part, Principled
 
 _RADIANCE = (150.0, 102.0, 55.0)
-_REACH = 1.2  # from the axis of the foot to that of the globe, metres
+_REACH = 1.2  # from the axis of the foot to the globe's, metres
 _BULB_HEIGHT = 1.56  # y of the bulb's origin, metres
 _FOOT_RADIUS, _FOOT_HEIGHT = 0.19, 0.07  # metres
 _GLOBE_RADIUS, _GLOBE_CENTRE = 0.15, -0.064  # metres; y of the centre in the bulb's frame

@@ -15,12 +15,9 @@ _CLEARANCE = 0.0006  # between a wire's end and the glass, metres
 
 
 def cut(profile: ArrayLike, sides: int, flatness: float = 1.0) -> Mesh:
-    """Faceted solid about the y axis.
+    """Faceted solid about the y axis; the profile [N, 2], radius and y, goes upwards along it.
 
-    Args:
-        profile: [N, 2] radius and y, from axis to axis upwards.
-        sides: number of facets around.
-        flatness: thickness along z as a share of the width along x.
+    `flatness` is its thickness along z as a share of the width along x.
     """
     mesh = lathe(profile, sides)
     return facets(mesh.vertices[mesh.faces] * [1, 1, flatness])
@@ -75,13 +72,7 @@ def pendant(length: float) -> tuple[Mesh, Mesh]:
 
 
 def swag(start: ArrayLike, end: ArrayLike, sag: float, spacing: float) -> tuple[Mesh, Mesh]:
-    """String of beads that hangs between two points; glass and pins.
-
-    Args:
-        start, end: [3] points, metres.
-        sag: how far the middle hangs below the straight line, metres.
-        spacing: of the beads along the string, metres.
-    """
+    """String of beads that hangs between two points [3] with the sag in its middle, in metres."""
     start, end = np.asarray(start, np.float64), np.asarray(end, np.float64)
     t = np.linspace(0, 1, 65)[:, None]
     line = start + t * (end - start) - [0, 1, 0] * (4 * sag * t * (1 - t))

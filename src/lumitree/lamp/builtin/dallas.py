@@ -39,7 +39,7 @@ def build() -> Geometry:
     parts = (
         Part("frame_black", _hoop(), "black", whole),
         Part("frame_brass", _brass(), "brass", whole),
-        Part("socket", _socket(), "brass", tuple(sites)),
+        Part("socket", join([socket(), rod(0.07, 0.04, 0.0075)]), "brass", tuple(sites)),
         *_BULB.parts("bulb", sites, "glass", "filament"),
     )
     filament = emitting(TUNGSTEN, "filament", _RADIANCE)
@@ -64,8 +64,3 @@ def _brass() -> Mesh:
     edges = [_HOOP_TOP - 0.0015, _HOOP_TOP - 0.0385]
     beads = [band(_HOOP - 0.0065, _HOOP + 0.0065, y - 0.0005, y + 0.0045) for y in edges]
     return join([moved(lathe(smooth(hub, 3), 48), at(0, _HUB)), *eyes, *beads])
-
-
-def _socket() -> Mesh:
-    """Socket with its stem up into the hoop."""
-    return join([socket(), rod(0.07, 0.04, 0.0075)])

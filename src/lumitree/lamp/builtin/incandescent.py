@@ -65,12 +65,9 @@ class Filament:
 class HangingBulb:
     """A screw bulb with its socket.
 
-    Attributes:
-        outside: control points of the glass's outer profile below `NECK`, from the axis up.
-        filament: what glows in it.
-        wall: thickness of the glass, metres.
-        inside: inner profile [N, 2] from axis to axis, where the wall is not of one thickness.
-        stem: whether there is a glass stem inside.
+    `outside` are control points of the glass's outer profile below `NECK`, from the axis up;
+    `inside` is the inner profile [N, 2] from axis to axis, where the wall, in metres, is not of one
+    thickness. `stem` adds a glass stem.
     """
 
     outside: ArrayLike
@@ -82,12 +79,9 @@ class HangingBulb:
     def parts(
         self, prefix: str, sites: Sequence[Floats], glass: str, filament: str
     ) -> tuple[Part, ...]:
-        """Cap, glass, supports and filament at the sites.
+        """Cap, glass, supports and filament at the sites, `world_from_bulb` [4, 4].
 
-        Args:
-            prefix: of the parts' names.
-            sites: `world_from_bulb` [4, 4] of each copy.
-            glass, filament: names of materials; the others are "steel".
+        Materials other than `glass` and `filament` are "steel".
         """
         places = tuple(sites)
         return (
@@ -185,13 +179,7 @@ _FLAME = (
 
 
 def flame_bulb(prefix: str, sites: Sequence[Floats], glass: str, filament: str) -> tuple[Part, ...]:
-    """Candle bulb 0.1 m tall: glass, supports and filament at the sites.
-
-    Args:
-        prefix: of the parts' names.
-        sites: `world_from_flame` [4, 4] of each copy.
-        glass, filament: names of materials; the supports are "steel".
-    """
+    """Candle bulb 0.1 m tall with supports of "steel"; sites are `world_from_flame` [4, 4]."""
     places = tuple(sites)
     return (
         Part(f"{prefix}_glass", _flame_glass(), glass, places),

@@ -17,11 +17,7 @@ def at(
 def around(count: int, radius: float = 0.0, y: float = 0.0, first: float = 0.0) -> list[Floats]:
     """Places [4, 4] evenly on a horizontal circle about the y axis, with +x away from the axis.
 
-    Args:
-        count: number of places.
-        radius: of the circle, metres.
-        y: height of the circle, metres.
-        first: azimuth of the first place, degrees, 0 at +x.
+    `first` is the azimuth of the first place, degrees, 0 at +x; lengths are in metres.
     """
     return [at(turn=first + 360 * i / count) @ at(radius, y) for i in range(count)]
 

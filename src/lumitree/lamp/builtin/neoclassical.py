@@ -122,7 +122,7 @@ def _arm_crystals(tier: str) -> tuple[Mesh, Mesh]:
     right = (back @ following @ at(*rim) @ at(0, 0, _PAN - 0.002))[:3, 3]
     sets.append(swag(left, right, 0.05, 0.015))
     crown = [_CROWN[0], _CROWN[1] - 0.003, 0.0]
-    # The long strings pass below those of the upper tier.
+    # The long strings pass below the upper tier's.
     sag = 0.1 if tier == "lower" else 0.06
     sets.append(swag(crown, [radius - _PAN, y + 0.006, 0.0], sag, 0.016))
     return join([glass for glass, _ in sets]), join([pins for _, pins in sets])

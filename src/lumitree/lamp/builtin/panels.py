@@ -7,13 +7,7 @@ from lumitree.lamp.meshes import Floats, Mesh, facets, skin
 
 
 def arch(width: float, bottom: float, spring: float) -> Floats:
-    """Outline [N, 2] of an opening with a round head, counter-clockwise; metres.
-
-    Args:
-        width: of the opening.
-        bottom: y of its sill.
-        spring: y where the round head begins.
-    """
+    """Outline [N, 2] of an opening whose round head begins at `spring`, counter-clockwise; m."""
     angle = np.radians(np.linspace(0, 180, 33))
     head = width / 2 * np.column_stack([np.cos(angle), np.sin(angle)]) + [0, spring]
     return np.concatenate([[[-width / 2, bottom], [width / 2, bottom]], head])
@@ -44,10 +38,7 @@ def pierced(
 ) -> Mesh:
     """Closed rectangular plate with an opening, star-shaped about its mean point; metres.
 
-    Args:
-        opening: [N, 2] outline, counter-clockwise.
-        left, right, bottom, top: the rectangle.
-        thickness: along z.
+    The outline [N, 2] is counter-clockwise, the thickness along z.
     """
     inner = np.asarray(opening, np.float64)
     centre = inner.mean(axis=0)

@@ -51,11 +51,12 @@ def build() -> Geometry:
     lamps = [centre @ aimed(point.axis, _LAMP_FROM * point.axis) for point in points]
     long = tuple(lamp for lamp, point in zip(lamps, points, strict=True) if len(point.base) == 4)
     short = tuple(lamp for lamp, point in zip(lamps, points, strict=True) if len(point.base) == 3)
+    hanger = join([canopy(0.05, 0.022), chain(-0.02, _CENTRE + _LONG + 0.008, 0.028)])
     parts = (
         Part("body", _body(points), "opal", (centre,)),
         Part("edges", _edges(points), "brass", (centre,)),
         Part("stalks", _stalks(points), "brass", (centre,)),
-        Part("hanger", _hanger(), "brass", (np.eye(4),)),
+        Part("hanger", hanger, "brass", (np.eye(4),)),
         Part("long_lamp", _lamp(_LONG_LAMP), "lamp", long),
         Part("short_lamp", _lamp(_SHORT_LAMP), "lamp", short),
     )
@@ -154,12 +155,6 @@ def _lamp(length: float) -> Mesh:
     profile[[0, -1], 0] = 0.0
     profile[7:, 1] += length - 2 * _LAMP_RADIUS
     return lathe(profile, 20)
-
-
-def _hanger() -> Mesh:
-    """Canopy, and a chain down to the topmost point."""
-    tip = _CENTRE + _LONG
-    return join([canopy(0.05, 0.022), chain(-0.02, tip + 0.008, 0.028)])
 
 
 def _sphere(radius: float, segments: int) -> Mesh:

@@ -27,12 +27,7 @@ _BLOCK_PIXELS = 2**20
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class DecodedImage:
-    """An image as its file encodes it.
-
-    Attributes:
-        pixels: [H, W, 4] R, G, B and opacity.
-        counts: [4, 256] how many pixels have each value.
-    """
+    """R, G, B and opacity [H, W, 4] as a file encodes them; how many pixels have each value."""
 
     pixels: NDArray[np.uint8]
     counts: NDArray[np.int64]
@@ -49,16 +44,9 @@ class Images:
     def decoded(
         self, key: Hashable, read: Callable[[], bytes], where: str, formats: tuple[str, ...]
     ) -> DecodedImage:
-        """The image of a key.
+        """The image of a key within the model; `read` returns the bytes of its file if needed.
 
-        Args:
-            key: of the image within the model.
-            read: returns the bytes of its file, where they are needed.
-            where: what the image is, for messages.
-            formats: that are tried, by Pillow's names.
-
-        Raises:
-            LumitreeError: it is damaged, in no such format, or too large.
+        `where` says what the image is; `formats` are tried, by Pillow's names.
         """
         if key not in self._decoded:
             self._decoded[key] = self._decode(read(), where, formats)
@@ -72,11 +60,7 @@ class Images:
         return self._made[key]
 
     def spend(self, size: int, where: str) -> None:
-        """Count bytes that are about to be held or computed.
-
-        Raises:
-            LumitreeError: they are too many for one model.
-        """
+        """Count bytes that are about to be held or computed; too many for one model are refused."""
         self._bytes += size
         if self._bytes > MAX_TOTAL_BYTES:
             raise LumitreeError(
@@ -124,7 +108,7 @@ def num_pixels(data: bytes) -> int:
     except Image.DecompressionBombError:
         return MAX_IMAGE_PIXELS
     except Exception:
-        # What decodes the image says what is wrong with it.
+        # The decoder says what is wrong with it.
         return 0
 
 
@@ -133,8 +117,7 @@ def by_rows(
 ) -> NDArray:
     """An array [H, W, C], computed block by block to bound the memory of intermediate results.
 
-    Args:
-        make: returns the array's rows of a slice.
+    `make` returns the rows of a slice.
     """
     result = np.empty(shape, dtype)
     step = max(1, _BLOCK_PIXELS // shape[1])

@@ -20,12 +20,8 @@ from lumitree.lamp.parts import Colour, Diffuse, Geometry, Glass, Metal, Surface
 def warn_of_likely_faults(model: Geometry, overrides: Overrides, file: str, toml: str) -> None:
     """Warn of emission in other units than lights, and of solid glass that the file makes thin.
 
-    Not of materials for which the overrides already say it.
-
-    Args:
-        model: before the overrides are applied.
-        file: name of the model's file.
-        toml: name of the file of overrides to write.
+    Materials whose overrides already say it are left out. The model is without its overrides, which
+    the warning says to write to `toml`.
     """
     for fault, line in (*_two_units(model, overrides), *_thin_bodies(model, overrides)):
         warnings.warn(

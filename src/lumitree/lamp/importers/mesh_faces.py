@@ -23,14 +23,10 @@ def selected(mesh: Mesh, keep: NDArray[np.bool_]) -> Mesh:
 
 
 def with_backs(mesh: Mesh, doubled: NDArray[np.bool_], distance: float) -> Mesh:
-    """The mesh and a second, reversed copy of some of its faces.
+    """The mesh and a second, reversed copy of the faces that `doubled` [F] marks.
 
-    A surface emits from its front alone; with its copy it emits from both sides. Of two faces in
-    one place a ray would hit either, so the copy lies a little behind.
-
-    Args:
-        doubled: [F] faces that are copied.
-        distance: of the copy from them, the mesh's unit.
+    A surface emits from its front alone; with its copy it emits from both sides. With two faces in
+    one place a ray would hit either, so the copy lies behind by a distance in the mesh's unit.
     """
     back = selected(mesh, doubled)
     vertices = back.vertices - distance * back.normals

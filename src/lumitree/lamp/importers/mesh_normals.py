@@ -22,18 +22,10 @@ def face_normals(positions: Floats, faces: Indices) -> Floats:
 def crease_normals(
     positions: Floats, faces: Indices, pieces: Pieces, groups: Indices, crease: float = CREASE
 ) -> tuple[Indices, Floats]:
-    """Shading normals that are smooth across edges, except across creases.
+    """Index [F, 3] of every corner's shading normal, and the unit normals [M, 3].
 
-    Args:
-        positions: [N, 3] of the places.
-        faces: [F, 3] places.
-        pieces: of the faces.
-        groups: [F] smoothing group; an edge between two groups is a crease, and so is every edge
-            of group 0.
-        crease: edges sharper than this angle, degrees, are creases.
-
-    Returns:
-        Index [F, 3] of every corner's normal, and the unit normals [M, 3].
+    Normals are smooth across edges, except across creases: edges sharper than `crease` degrees,
+    between two smoothing groups [F], or of group 0. Faces [F, 3] index the positions [N, 3].
     """
     flat = face_normals(positions, faces)
     pairs = pieces.pairs

@@ -1,4 +1,4 @@
-"""Settings that replace or complete those of a model's file: materials, emission, unit, up axis."""
+"""Settings that replace or complete a model's file: materials, emission, unit, up axis."""
 
 import dataclasses
 import warnings
@@ -20,12 +20,9 @@ from lumitree.lamp.scene_writer import transmits
 
 @dataclasses.dataclass(frozen=True)
 class Emission:
-    """Emission of a material: `radiance`, or `lumens` of all its surfaces together.
+    """Emission of a material: radiance, W/(m² sr), or the luminous flux of all its surfaces.
 
-    Attributes:
-        radiance: W/(m² sr); None where `lumens` is given.
-        lumens: luminous flux.
-        colour: of the flux; linear RGB of which only the ratios matter.
+    Only the ratios of the flux's `colour`, linear RGB, matter.
     """
 
     radiance: RGB | None
@@ -35,10 +32,9 @@ class Emission:
 
 @dataclasses.dataclass(frozen=True)
 class MaterialOverride:
-    """What replaces parts of a material; None keeps what the file says.
+    """Replacements of parts of a material; None keeps what the file says.
 
-    Attributes:
-        guess_thin: the surface is glass, and the file does not state whether it is thin.
+    With `guess_thin` the surface is glass, and the file does not state whether it is thin.
     """
 
     surface: Surface | None = None
@@ -49,15 +45,7 @@ class MaterialOverride:
 
 @dataclasses.dataclass(frozen=True)
 class Overrides:
-    """A file of overrides.
-
-    Attributes:
-        file: its name, for messages.
-        metres_per_unit: of the model.
-        up: the model's upward axis.
-        variant: glTF material variant.
-        materials: by name.
-    """
+    """A file of overrides; `up` is the model's upward axis, `variant` a glTF material variant."""
 
     file: str = ""
     metres_per_unit: float = 1.0
@@ -77,12 +65,7 @@ def setting(title: str, value: str) -> str:
 
 
 def apply_overrides(model: Geometry, overrides: Overrides) -> Geometry:
-    """The model in metres, y up, with its materials changed.
-
-    Raises:
-        LumitreeError: the overrides name a material that the model lacks, or give a luminous flux
-            to one without any area.
-    """
+    """The model in metres, y up, with its materials changed; unknown materials are refused."""
     changes: dict[str, MaterialOverride] = {}
     for name, change in overrides.materials.items():
         titles = {item.title for item in model.materials if name in (item.title, item.name)}
@@ -122,17 +105,10 @@ def sided_materials(model: Geometry, overrides: Overrides) -> set[str]:
 
 
 def select_parts(model: Geometry, keep: Sequence[str], drop: Sequence[str], file: str) -> Geometry:
-    """The parts that match a `keep` pattern and no `drop` pattern.
+    """The parts that match a `keep` pattern and no `drop` pattern (* and ?); no `keep` keeps all.
 
-    By their own name, or that of their object or their material. Of a part with several copies
-    those are left whose objects match.
-
-    Args:
-        keep, drop: patterns with * and ?; no `keep` keeps everything.
-        file: name of the model's file, for messages.
-
-    Raises:
-        LumitreeError: a pattern matches nothing, or nothing is left.
+    Patterns match the name of a part, its object or its material. A part with several copies keeps
+    the copies whose objects match. A pattern without a match, or an empty selection, is refused.
     """
     titles = {material.name: material.title for material in model.materials}
     objects = {name for part in model.parts for name in part.objects}
@@ -153,12 +129,7 @@ def select_parts(model: Geometry, keep: Sequence[str], drop: Sequence[str], file
 
 
 def check_emits(model: Geometry, file: str, overrides_name: str) -> None:
-    """Refuse a model that does not emit.
-
-    Args:
-        file: name of the model's file.
-        overrides_name: name of the TOML file to write.
-    """
+    """Refuse a model that does not emit; the message names the TOML file of overrides to write."""
     used = {part.material for part in model.parts}
     if not any(
         item.radiance is not None and item.opacity != 0

@@ -39,11 +39,7 @@ _MAX_EMISSION = 1e9
 
 
 def read_overrides(path: Path) -> Overrides:
-    """Read a TOML file of overrides.
-
-    Raises:
-        LumitreeError: it is missing or not TOML, or a key or value in it is wrong.
-    """
+    """Read a TOML file of overrides."""
     top = read_toml(path, "a TOML file of overrides")
     materials = top.take("material", dictionary("[material.NAME] tables")) or {}
     result = Overrides(

@@ -16,18 +16,12 @@ _GAIN = 1.5
 
 
 def triangulate(points: Floats) -> tuple[Indices, Indices]:
-    """Triangles of many polygons with the same number of corners.
+    """Triangles of many polygons [P, N, 3] with the same number of corners, at most `MAX_CORNERS`.
 
-    The outline of a polygon's triangles is the polygon, edge by edge: also a corner on the line
-    between its neighbours is used, since another polygon may end there.
-
-    Args:
-        points: [P, N, 3] corners in order, N from 3 to `MAX_CORNERS`; roughly planar. Polygons
-            that cross themselves get triangles that overlap.
-
-    Returns:
-        [T, 3] corner numbers in 0 .. N - 1, wound as the polygons are, and [T] the number of each
-        triangle's polygon, ascending.
+    [T, 3] corner numbers in 0 .. N - 1, wound as the polygons are, and [T] the number of each
+    triangle's polygon, ascending. The outline of a polygon's triangles is the polygon, edge by
+    edge: also a corner on the line between its neighbours is used, since another polygon may end
+    there. Polygons are roughly planar; those that cross themselves get triangles that overlap.
     """
     count, corners = points.shape[:2]
     ahead = np.arange(1, corners - 1)
@@ -88,7 +82,7 @@ def _cut(points: Floats) -> Indices:
 
 
 def _left_out(triangles: list[tuple[int, ...]], size: int) -> list[tuple[int, ...]]:
-    """Triangles between the polygon's outline and that of `triangles`.
+    """Triangles between the polygon's outline and the outline of `triangles`.
 
     earcut drops corners of 180 degrees. If an edge of a neighbouring polygon ends in such a corner,
     the surface is then not closed. The outlines differ by closed loops, nearly always without area.

@@ -30,10 +30,8 @@ def kept_faces(
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Which faces [F] are used, and which of these [F] need a reversed copy.
 
-    Args:
-        corners, within: as of `repeats`.
-        sided: the two sides of the material differ: of a face in both windings both are used, the
-            second as a copy of the first.
+    `corners` and `within` are as in `repeats`. If the two sides of the material differ, both
+    windings of a face are used, the second as a copy of the first.
     """
     first, turned = repeats(corners, within)
     both = np.zeros(len(first), np.bool_)
@@ -61,9 +59,7 @@ def warn_of_repeated(file: str, count: int) -> None:
 def without_repeated(model: Geometry, sided: Collection[str], file: str) -> Geometry:
     """The model with every face once, also where copies of parts are in one place.
 
-    Args:
-        sided: titles of the materials whose two sides differ, as those that emit.
-        file: name of the model's file, for a warning.
+    `sided` are the titles of the materials whose two sides differ, such as those that emit.
     """
     title = {material.name: material.title for material in model.materials}
     copies: dict[str, list[tuple[Part, int]]] = defaultdict(list)
@@ -114,13 +110,9 @@ def _placed(part: Part, at: int) -> tuple[Floats, Indices]:
 def _repeated_surfaces(
     copies: Sequence[tuple[Floats, Indices]], within: float, sided: bool
 ) -> list[bool]:
-    """Which copies are the surface of an earlier one, cut into triangles in any way.
+    """Which copies (vertices [V, 3], faces) are the surface of an earlier one, cut in any way.
 
-    As a sphere and its mirror image, whose quads have the other diagonal.
-
-    Args:
-        copies: vertices [V, 3] and faces.
-        within, sided: as of `kept_faces`.
+    An example is a sphere and its mirror image, whose quads have the other diagonal.
     """
     # Boxes, whose corners are in the same places.
     low, high = (

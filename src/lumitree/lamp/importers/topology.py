@@ -53,10 +53,8 @@ _NESTING_PROBES = 8
 def weld(positions: Floats, reach: float = 0.0) -> Indices:
     """Index [V] of each vertex's place, from 0; equal for vertices [V, 3] in one place.
 
-    Args:
-        positions: [V, 3].
-        reach: vertices no farther apart than this along each axis are in one place; so are those
-            connected by others. At least 5e-7 of the bounding box's diagonal is taken.
+    Vertices no farther apart than `reach`, and at least 5e-7 of the bounding box's diagonal, along
+    each axis are in one place; so are those connected by others.
     """
     if not len(positions):
         return np.zeros(0, np.int64)
@@ -88,17 +86,11 @@ def reach(points: Floats) -> float:
 
 
 def repeats(corners: Floats, within: float) -> tuple[Indices, NDArray[np.bool_]]:
-    """The first face in the place of each, and whether the face is wound the other way.
+    """The first face [F] in the place of each, and whether [F] the face is wound the other way.
 
     Two faces of opposite winding where solids touch, or a solid is folded, do not repeat each
     other: without one the solid would be open. The neighbours of a repeated face are repeated, too.
-
-    Args:
-        corners: [F, N, 3] of faces of one material.
-        within: `reach` of the material.
-
-    Returns:
-        [F] indices of faces, and [F].
+    `corners` [F, N, 3] are of faces of one material, `within` is its `reach`.
     """
     first, turned = _in_one_place(corners, within)
     if turned.any():
@@ -110,11 +102,7 @@ def repeats(corners: Floats, within: float) -> tuple[Indices, NDArray[np.bool_]]
 
 
 def _sheets(corners: Floats, within: float, first: Indices) -> Indices:
-    """Index [F] of the sheet of each face: neighbours of one orientation, and none in one place.
-
-    Args:
-        first: as of `repeats`.
-    """
+    """Index [F] of the sheet of each face: neighbours of one orientation, and none in one place."""
     count, size = corners.shape[:2]
     start = weld(corners.reshape(-1, 3), within)
     stop = np.roll(start.reshape(count, size), -1, axis=1).ravel()
@@ -226,11 +214,8 @@ def probes(vertices: Floats) -> Floats:
 def has_body(mesh: Mesh, alike: Sequence[Floats], others: Sequence[Floats]) -> bool:
     """Whether a solid mesh has a piece that is no sheet around something else, as a bulb is.
 
-    There is nothing in such a piece, or the inner side of its wall. Some of many pieces are looked
-    at.
-
-    Args:
-        alike, others: `probes` of other parts, of the mesh's material and of others.
+    There is nothing in such a piece, or the inner side of its wall. Some of many pieces are tested
+    against `probes` of other parts of the mesh's material (`alike`) and of other materials.
     """
     if not is_solid(mesh):
         return False
@@ -253,13 +238,8 @@ def faces_to_turn(
 ) -> NDArray[np.bool_]:
     """Faces [F] to be turned round so that all closed pieces are oriented outwards.
 
-    Closed pieces are made consistent first. Faces of open pieces are not turned.
-
-    Args:
-        positions: [N, 3] of the places.
-        faces: [F, 3] places.
-        pieces: of the faces.
-        where: what the surface belongs to, for a warning.
+    Closed pieces are made consistent first. Faces of open pieces are not turned. Faces [F, 3] index
+    the positions [N, 3]; `where` names the surface in a warning.
     """
     import trimesh
 

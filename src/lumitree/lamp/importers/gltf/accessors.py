@@ -26,12 +26,7 @@ class Accessors:
     def floats(self, index: int, lengths: tuple[int, ...]) -> NDArray[np.float64]:
         """[count, L] finite numbers, with normalised integers mapped to [0, 1] or [-1, 1].
 
-        Args:
-            index: of the accessor.
-            lengths: that L may have.
-
-        Raises:
-            LumitreeError: another L, or the accessor is damaged.
+        L must be one of `lengths`.
         """
         item = self._document.entry("accessors", index)
         stored = self._array(index, item, lengths)

@@ -11,12 +11,7 @@ from lumitree.lamp.importers.gltf.maps import Array, Map, constant
 
 @dataclasses.dataclass(frozen=True)
 class Base:
-    """The metallic-roughness core of a material.
-
-    Attributes:
-        colour: R, G and B.
-        alpha, metallic, roughness: one channel each.
-    """
+    """The metallic-roughness core of a material; all but the colour (RGB) have one channel."""
 
     colour: Map
     alpha: Map

@@ -52,20 +52,10 @@ _JSON_CHUNK, _BINARY_CHUNK = 0x4E4F534A, 0x004E4942
 class Document:
     """An opened glTF file.
 
-    Attributes:
-        root: its JSON.
-        name: of the file, for messages.
-        unknown_extensions: extensions that the file uses but does not require, and that lumitree
-            does not support.
+    `unknown_extensions` are used but not required by the file, and not supported by lumitree.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        """Open `path`.
-
-        Raises:
-            LumitreeError: missing, damaged, not glTF 2.0, or it requires an extension that
-                lumitree does not support.
-        """
         path = Path(path)
         self.name = shown(path.name)
         self._folder = ModelFolder(path)
@@ -87,11 +77,7 @@ class Document:
         self._lists: dict[str, list[Any]] = {}
 
     def entry(self, kind: str, index: int) -> Item:
-        """Entry of one of the file's lists, such as `materials`.
-
-        Raises:
-            LumitreeError: there is no such entry.
-        """
+        """Entry of one of the file's lists, such as `materials`."""
         if kind not in self._lists:
             entries = self.root.data.get(kind, [])
             if not isinstance(entries, list):
@@ -120,7 +106,7 @@ class Document:
         return not uri.startswith("data:") and self._file(uri, item) is None
 
     def resource(self, item: Item) -> bytes:
-        """What an item's `uri` names: a data URI, or a file in the model's folder."""
+        """Content of an item's `uri`: a data URI, or a file in the model's folder."""
         uri = item.string("uri", "")
         if uri.startswith("data:"):
             return _data_uri(uri, item)

@@ -18,12 +18,7 @@ _WRAPS: dict[int, Literal["repeat", "mirror", "clamp"]] = {
 
 @dataclasses.dataclass(frozen=True)
 class Sampler:
-    """How an image is sampled.
-
-    Attributes:
-        wrap: what lies outside [0, 1] along u, and along v.
-        nearest: no interpolation between pixels.
-    """
+    """How an image is looked up; `wrap` is outside [0, 1], along u and along v."""
 
     wrap: tuple[Literal["repeat", "mirror", "clamp"], Literal["repeat", "mirror", "clamp"]]
     nearest: bool
@@ -36,11 +31,7 @@ class GltfImages:
         self._document, self._images = document, images
 
     def texture(self, index: int) -> tuple[DecodedImage, Sampler] | str:
-        """Image of a texture, and its sampler; the name of a file that is missing.
-
-        Raises:
-            LumitreeError: a link out of the model's folder, damaged, or too large.
-        """
+        """Image of a texture, and its sampler; the name of a file that is missing."""
         texture = self._document.entry("textures", index)
         source = texture.index("source")
         if source is None and (webp := texture.extension("EXT_texture_webp")) is not None:

@@ -20,12 +20,7 @@ _ATTRIBUTES = {
 def instances(node: Node, accessors: Accessors, notes: Notes, others: int) -> list[Node]:
     """The node in the places of its instances; the node itself where it has none.
 
-    Args:
-        others: nodes and instances with meshes before this node, which count towards the limit.
-
-    Raises:
-        LumitreeError: attributes that do not fit together, too many instances, or a rotation that
-            is no quaternion.
+    `others`, the nodes and instances with meshes before it, count towards the limit.
     """
     extension = node.item.extension("EXT_mesh_gpu_instancing")
     if extension is None:

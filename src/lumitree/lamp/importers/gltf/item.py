@@ -14,9 +14,7 @@ MAX_MAGNITUDE = 1e15
 class Item:
     """A JSON object; every reader checks the type and the range of what it returns.
 
-    Attributes:
-        data: the object.
-        where: its place in the file, for messages, such as `lamp.gltf: materials[3]`.
+    `where` is its place in the file, for messages, such as `lamp.gltf: materials[3]`.
     """
 
     def __init__(self, data: Any, where: str) -> None:

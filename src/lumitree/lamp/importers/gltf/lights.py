@@ -34,17 +34,9 @@ def light_parts(
     """A light as parts and their materials; none where it emits nothing or is directional.
 
     A point light becomes a sphere of radius LIGHT_RADIUS. A spot light becomes a smaller emitter in
-    a black sphere of that radius, which transmits light by the cone's attenuation. Their
-    radiance is such that their luminous intensity, in cd, is that of the file.
-
-    Args:
-        light: its JSON.
-        worlds: `world_from_node` [4, 4] of all nodes with the light, which ignores their scale.
-        name: of the first part and its material; that of a shade has "_shade" after it.
-        notes: where approximations are noted.
-
-    Raises:
-        LumitreeError: unknown type, negative values, or cone angles that are out of range.
+    a black sphere of that radius, which transmits light by the cone's attenuation. Their radiance
+    gives the luminous intensity of the file, cd. `worlds` are `world_from_node` [4, 4] of all nodes
+    with the light, which ignores their scale. `name` is for the first part; a shade adds "_shade".
     """
     kind = light.string("type", "none")
     colour = light.numbers("color", (1.0, 1.0, 1.0), 0.0)

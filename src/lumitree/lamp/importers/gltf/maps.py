@@ -145,10 +145,7 @@ class Textures:
     def read(self, info: Item, channels: str, encoded: bool) -> Map | str:
         """Map [H, W, C] of a texture info; the name of its image's file if that is missing.
 
-        Args:
-            info: its JSON.
-            channels: neighbours in "RGBA", such as "RGB" or "A".
-            encoded: whether the values are sRGB-encoded.
+        `channels` are neighbours in "RGBA", such as "RGB" or "A"; `encoded` values are in sRGB.
         """
         texture = self._textures.texture(info.integer("index"))
         if isinstance(texture, str):
@@ -160,18 +157,10 @@ class Textures:
         return Map(levels, image, first, None, sampler, transform, info.where)
 
     def combined(self, function: Callable[..., Array], *maps: Map) -> tuple[Map, bool]:
-        """A function of several channels or maps, point by point.
+        """A function of several maps [H, W, C], point by point, and whether the result is exact.
 
-        Args:
-            function: of the maps' values [H, W, C].
-            maps: of any sizes; smaller images are enlarged.
-
-        Returns:
-            The result, and whether it is exact: a texture that is placed differently from the
-            first one enters with its mean.
-
-        Raises:
-            LumitreeError: too much is computed from the model's images.
+        Smaller images are enlarged. A texture that is placed differently from the first one enters
+        with its mean.
         """
         lead = next((entry for entry in maps if not entry.constant), maps[0])
         if all(entry.constant for entry in maps):

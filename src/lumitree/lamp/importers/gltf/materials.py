@@ -25,11 +25,8 @@ from lumitree.lamp.parts import RGB, Material, Surface, Texture
 class Use:
     """Properties of a mesh that the conversion of its material depends on.
 
-    Attributes:
-        closed: the mesh is solid (`lamp.importers.topology`).
-        mirrored: its texture coordinates are mirrored.
-        coloured: it has vertex colours.
-        scale: of the mesh's unit, metres.
+    `closed` means solid (`lamp.importers.topology`); `mirrored` is about its texture coordinates,
+    `coloured` about its vertices; `scale` is its unit, metres.
     """
 
     closed: bool = False

@@ -15,12 +15,7 @@ _IDENTITY = tuple(np.eye(4).ravel().tolist())
 
 @dataclasses.dataclass(frozen=True)
 class Node:
-    """A node of the scene.
-
-    Attributes:
-        item: its JSON.
-        world: `world_from_node` [4, 4].
-    """
+    """A node of the scene; `world` is `world_from_node` [4, 4]."""
 
     item: Item
     world: Floats
@@ -29,11 +24,8 @@ class Node:
 def scene_nodes(document: Document) -> list[Node]:
     """Every node of the default scene, parents before children.
 
-    The default scene is the one the file names, else its first, else all root nodes.
-
-    Raises:
-        LumitreeError: the nodes do not form a forest (there is a cycle, or a node with several
-            parents), or they are nested too deeply.
+    The default scene is the one the file names, else its first, else all root nodes. Nodes must
+    form a forest of limited depth.
     """
     parents = _parents(document)
     pending = [(root, np.eye(4), 0) for root in reversed(_roots(document, parents))]
@@ -92,10 +84,8 @@ def _local(item: Item) -> Floats:
 def transforms(translation: ArrayLike, rotation: ArrayLike, scale: ArrayLike, item: Item) -> Floats:
     """Transforms [N, 4, 4] that scale, then rotate, then translate.
 
-    Args:
-        translation, scale: [N, 3], or [3] for all.
-        rotation: [N, 4] or [4], quaternions x, y, z and w of any length.
-        item: what they belong to, for messages.
+    Translation and scale are [N, 3], or [3] for all; rotations [N, 4] or [4], quaternions x, y, z
+    and w of any length.
     """
     quaternion = np.atleast_2d(np.asarray(rotation, np.float64))
     x, y, z, w = quaternion.T

@@ -1,4 +1,4 @@
-"""What was approximated or ignored while a file was read, to be reported at the end."""
+"""Approximations and omissions while a file was read, to be reported at the end."""
 
 from collections.abc import Iterator
 
@@ -9,11 +9,6 @@ class Notes:
     """Collects remarks about a file and about each of its materials."""
 
     def __init__(self, name: str) -> None:
-        """Start empty.
-
-        Args:
-            name: of the file.
-        """
         self._name = name
         # Dictionaries, because sets do not keep their order.
         self._file: dict[str, None] = {}

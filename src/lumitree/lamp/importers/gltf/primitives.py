@@ -16,14 +16,7 @@ _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 def read_triangles(accessors: Accessors, primitive: Item, uv_set: int) -> Mesh | None:
     """A primitive's triangles, with normals; None where it holds points, lines or nothing.
 
-    Args:
-        accessors: of the file.
-        primitive: its JSON.
-        uv_set: number of the texture coordinates to read; they are absent where the primitive
-            has none of that number.
-
-    Raises:
-        LumitreeError: indices or attributes that do not fit together, or too many triangles.
+    Texture coordinates of the number `uv_set` are read; the mesh has none if they are missing.
     """
     attributes = primitive.item("attributes")
     mode = primitive.integer("mode", _TRIANGLES)
@@ -40,7 +33,8 @@ def read_triangles(accessors: Accessors, primitive: Item, uv_set: int) -> Mesh |
     if order.max() >= count:
         raise primitive.error(f"uses vertex {order.max()} of {count}; its indices are damaged")
     faces = _faces(order, mode)
-    faces = faces[_proper(positions, faces)]
+    # Triangles without area join parts of strips.
+    faces = faces[(area_normals(positions, faces) != 0).any(axis=1)]
     if not len(faces):
         return None
     used, faces = np.unique(faces, return_inverse=True)
@@ -91,11 +85,6 @@ def _faces(order: NDArray[np.int64], mode: int) -> NDArray[np.int64]:
     return faces
 
 
-def _proper(positions: Floats, faces: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which faces have an area; triangles without any join parts of strips."""
-    return (area_normals(positions, faces) != 0).any(axis=1)
-
-
 def _faceted(mesh: Mesh) -> Mesh:
     """Every face with vertices and a normal of its own, as glTF asks where normals are missing."""
     normals = area_normals(mesh.vertices, mesh.faces)
@@ -111,7 +100,7 @@ def _faceted(mesh: Mesh) -> Mesh:
 
 
 def _with_normals(mesh: Mesh, normals: Floats) -> Mesh:
-    """With unit normals; those of no length become the mean of the faces around the vertex."""
+    """With unit normals; zero ones become the mean of the faces around the vertex."""
     lengths = np.linalg.norm(normals, axis=1)
     missing = lengths < 1e-6
     if missing.any():

@@ -39,19 +39,10 @@ from lumitree.lamp.parts import Geometry, Material, Part, check_shapes
 
 
 def read_gltf(path: str | os.PathLike[str], *, variant: str | None = None) -> Geometry:
-    """A lamp from a `.gltf` or `.glb` file.
+    """A lamp from a `.gltf` or `.glb` file, with the materials of a variant, or its default ones.
 
-    What Mitsuba cannot represent is approximated, with one LumitreeWarning for each material and
+    Approximations of what Mitsuba cannot represent give one LumitreeWarning for each material and
     one for the file. Nothing outside the file's folder is read.
-
-    Args:
-        path: of the file.
-        variant: name of a material variant (KHR_materials_variants); None for the materials that
-            the file gives by default.
-
-    Raises:
-        LumitreeError: missing, damaged or hostile file; required extension that is not known;
-            unknown variant; no triangles.
     """
     document = Document(path)
     notes = Notes(document.name)
@@ -191,11 +182,7 @@ class _Reader:
 
 
 def oriented_outwards(mesh: Mesh, where: str) -> Mesh:
-    """A solid mesh with its faces and its normals oriented outwards.
-
-    Args:
-        where: what the mesh belongs to, for a warning.
-    """
+    """A solid mesh with its faces and its normals oriented outwards; `where` is for a warning."""
     places = weld(mesh.vertices)
     _, representative = np.unique(places, return_index=True)
     # A repeated face is turned as the first in its place is.

@@ -19,12 +19,7 @@ _MIN_IOR, _MAX_IOR, _MIN_ATTENUATION = 1.001, 10.0, 1e-4
 
 @dataclasses.dataclass(frozen=True)
 class Volume:
-    """Parameters of KHR_materials_volume.
-
-    Attributes:
-        thickness: in the mesh's unit; 0 is a thin sheet.
-        absorption: R, G and B per metre.
-    """
+    """KHR_materials_volume: thickness in the mesh's unit, 0 for a sheet; absorption per metre."""
 
     thickness: float
     absorption: RGB
@@ -51,14 +46,8 @@ def read_surface(
     """The surface of a material.
 
     Light that crosses a solid is multiplied by the base colour once: by its square root at each of
-    the two crossings. Light that crosses a thin sheet is multiplied at its only crossing.
-
-    Args:
-        layers: of the material.
-        textures: that turn maps into the model's.
-        base: its core.
-        solid: whether the mesh is a solid that transmits light.
-        thickness: of the solid that a thin sheet represents, metres.
+    the two crossings. Light that crosses a thin sheet is multiplied at its only crossing. A thin
+    sheet represents a solid of a thickness in metres.
     """
     if layers.item.extension("KHR_materials_unlit") is not None:
         layers.note("unlit (a diffuse reflector)")

@@ -9,11 +9,6 @@ class Variants:
     """Chooses the material of every primitive."""
 
     def __init__(self, document: Document, variant: str | None) -> None:
-        """Look a variant up by its name.
-
-        Raises:
-            LumitreeError: the file has no such variant.
-        """
         self._index = None
         if variant is None:
             return

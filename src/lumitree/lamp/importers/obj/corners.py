@@ -27,11 +27,7 @@ class Corners:
 
 
 def read_corners(spellings: list[bytes], counts: tuple[int, int, int]) -> Corners:
-    """Read distinct corners.
-
-    Args:
-        counts: of positions, texture coordinates and normals in the file.
-    """
+    """Read distinct corners of a file with so many positions, texture coordinates and normals."""
     fields = [word.split(b"/") for word in spellings]
     read = np.full((len(fields), 3), -1, np.int64)
     absent = np.zeros((len(fields), 3), bool)

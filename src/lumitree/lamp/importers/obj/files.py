@@ -29,11 +29,7 @@ class ObjFolder:
     def find(self, name: str, purpose: str) -> Path | None:
         """Path of a file that the model names; None, after a warning, where there is none.
 
-        Args:
-            purpose: what names it, for messages.
-
-        Raises:
-            LumitreeError: the name leads out of the folder.
+        `purpose` says what names it.
         """
         path = self._folder.find(name, f"{self._model}: {purpose}")
         if path is None:
@@ -55,11 +51,7 @@ class ObjFolder:
         return beside if os.path.isfile(self._model.parent / beside) else name
 
     def image(self, name: str, purpose: str) -> DecodedImage | None:
-        """An image that the model names; None, after a warning, where there is none.
-
-        Raises:
-            LumitreeError: the name leads out of the folder, or the image is damaged or too large.
-        """
+        """An image that the model names; None, after a warning, where there is none."""
         path = self.find(name, purpose)
         if path is None:
             return None
@@ -76,7 +68,7 @@ class ObjFolder:
         image: DecodedImage,
         make: Callable[[DecodedImage], NDArray],
     ) -> NDArray:
-        """What `make` makes of the image called `name`, once for each role."""
+        """Result of `make` for the image called `name`, once for each role."""
         height, width = image.pixels.shape[:2]
         size = _PIXEL_BYTES * height * width
         return self._images.made((name, role), size, shown(name), lambda: make(image))

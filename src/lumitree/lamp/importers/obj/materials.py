@@ -61,17 +61,10 @@ def material(
     coloured: bool,
     folder: ObjFolder,
 ) -> tuple[Material, RGB | None]:
-    """The material that an MTL block describes.
+    """The material that an MTL block describes, and the factor of the vertex colours, if used.
 
-    Args:
-        closed: returns whether every piece of the mesh that it covers is closed.
-        coloured: whether the mesh has vertex colours.
-
-    Returns:
-        The material, and the factor of the vertex colours; None where it does not use them.
-
-    Raises:
-        LumitreeError: a map leads out of the folder, or is damaged or too large.
+    `closed` returns whether every piece of the mesh that it covers is closed; `coloured` meshes
+    have vertex colours.
     """
     return _Reader(name, source, folder).read(closed, coloured)
 
@@ -190,8 +183,7 @@ class _Reader:
     ) -> Texture | None:
         """Texture of what `pick` takes out of a map's image; None for no map.
 
-        Args:
-            role: what `pick` depends on besides the image.
+        `role` is what `pick` depends on besides the image.
         """
         image = self._image(key)
         if image is None:

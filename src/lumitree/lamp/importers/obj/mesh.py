@@ -46,9 +46,6 @@ def build_meshes(file: ObjFile, emitting: Collection[str]) -> dict[int, Mesh]:
     material once in each winding, so that both sides emit. Closed pieces face outwards. Missing
     normals are computed, smooth only where the file names smoothing groups, as the format says. v
     is 0 at an image's first row.
-
-    Args:
-        emitting: names of materials that emit.
     """
     places = weld(file.positions)
     # One vertex stands for all those in its place.
@@ -106,7 +103,7 @@ def _cut(
 def _mesh(
     file: ObjFile, places: Indices, positions: Floats, triangles: _Triangles, name: str
 ) -> Mesh:
-    """Mesh of one material; `positions` are those of the places.
+    """Mesh of one material; `positions` are of the places.
 
     Everything is numbered anew first: work on what other materials use would be quadratic.
     """

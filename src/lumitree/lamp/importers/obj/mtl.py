@@ -40,12 +40,8 @@ _NEUTRAL = {"-mm": [0.0, 1.0], "-t": [0.0, 0.0, 0.0], "-boost": [0.0]}
 class MtlMap:
     """An image that a material names.
 
-    Attributes:
-        file: as the file names it.
-        scale, offset: of u and v, in the file's convention (v = 0 at the image's last row).
-        clamp: whether texture coordinates are clamped to [0, 1].
-        bump_scale: strength of a bump map.
-        ignored: options that have no effect here.
+    `scale` and `offset` are of u and v, with v = 0 at the image's last row, as in the file. `clamp`
+    limits texture coordinates to [0, 1]; `ignored` options have no effect here.
     """
 
     file: str
@@ -65,11 +61,7 @@ class MtlMaterial:
 
 
 def parse_mtl(path: Path) -> dict[str, MtlMaterial]:
-    """Materials of an MTL file by name; the first of a name counts.
-
-    Raises:
-        LumitreeError: it is missing or larger than 16 MiB, or a line is wrong.
-    """
+    """Materials of an MTL file of at most 16 MiB by name; the first of a name counts."""
     materials: dict[str, MtlMaterial] = {}
     current = MtlMaterial()
     lines = in_utf8(read_bytes(path, "an MTL file", _MAX_BYTES)).split(b"\n")

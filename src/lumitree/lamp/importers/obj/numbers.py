@@ -21,15 +21,10 @@ _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
 def read_table(
     lines: list[bytes], key: bytes, fewest: int, error: Callable[[int, str], LumitreeError]
 ) -> tuple[Floats, bool]:
-    """The numbers of lines that begin with `key`.
+    """The numbers of lines that begin with `key`, and whether they have decimal commas.
 
-    Args:
-        fewest: numbers that each line must have.
-        error: makes an error of the number of a line and a message.
-
-    Returns:
-        Array [N, W], W at least `fewest`, NaN where a line has fewer numbers than others; and
-        whether they have decimal commas.
+    The array is [N, W], W at least `fewest`, which each line must have; NaN where a line has fewer
+    numbers than others. `error` takes the number of a line and a message.
     """
     if not lines:
         return np.zeros((0, fewest)), False
@@ -43,17 +38,11 @@ def read_table(
 
 
 def vertex_colours(rows: Floats) -> tuple[Floats | None, list[str]]:
-    """Colours of vertices, and what is left out of their lines.
+    """Linear RGB of vertices [V, 3], and a list of what is left out of their lines.
 
-    After x, y and z a line may have a weight, a colour, or both: `w`, `r g b`, `w r g b`. Where
-    each fourth of seven numbers is not 1, the seventh is an opacity: `r g b a`. Colours are
-    sRGB-encoded, in [0, 1] or in [0, 255].
-
-    Args:
-        rows: [V, W] numbers, NaN where there is none.
-
-    Returns:
-        Linear RGB [V, 3], white where a line has no colour, None where no line has one.
+    After x, y and z a line [V, W] may have a weight, a colour, or both: `w`, `r g b`, `w r g b`.
+    Where each fourth of seven numbers is not 1, the seventh is an opacity: `r g b a`. Colours are
+    sRGB-encoded, in [0, 1] or in [0, 255]. White where a line has none; None where no line has one.
     """
     count = (~np.isnan(rows)).sum(axis=1)
     left_out = []

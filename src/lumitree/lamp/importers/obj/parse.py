@@ -66,11 +66,7 @@ class ObjFile:
 
 
 def parse_obj(path: Path) -> ObjFile:
-    """Read an OBJ file.
-
-    Raises:
-        LumitreeError: it is missing, larger than 512 MiB, holds no faces, or a line is wrong.
-    """
+    """Read an OBJ file of at most 512 MiB with at least one face."""
     return _Parser(path).parse(read_bytes(path, "an OBJ file", MAX_MODEL_BYTES))
 
 
@@ -86,13 +82,13 @@ class _Parser:
         self._materials: dict[str, int] = {}
         self._libraries: list[str] = []
         self._painted: list[bytes] = []
-        # What is not used, for one warning; a dictionary, because sets do not keep their order.
+        # Unused properties, for one warning; a dictionary, because sets do not keep their order.
         self._left_out: dict[str, None] = {}
         self._commas = False
 
     def parse(self, data: bytes) -> ObjFile:
         self._lines = in_utf8(data).replace(b"\\\n", b" ").split(b"\n")
-        # What nearly all lines begin with; "vtx" is refused with the numbers.
+        # Nearly all lines begin so; "vtx" is refused with the numbers.
         frequent = {b"v ": self._values[b"v"], b"vt": self._values[b"vt"]}
         frequent[b"vn"] = self._values[b"vn"]
         for line in self._lines:
@@ -152,7 +148,7 @@ class _Parser:
         for at, word in enumerate(words[1:], 1):
             fields = word.split(b"/")
             for column, (field, count) in enumerate(zip(fields, counts, strict=False)):
-                # What is no number, or reaches before the beginning, is refused with the rest.
+                # A word that is no number, or is before the beginning, is refused with the rest.
                 back = int(field[1:]) if re.fullmatch(rb"-\d{1,9}", field) else 0
                 if 0 < back <= count:
                     fields[column] = b"%d" % (count + 1 - back)
