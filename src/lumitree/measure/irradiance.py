@@ -165,12 +165,7 @@ def luminaire_irradiance(
 
 
 def asset_irradiance(asset: Asset, num_rays: int, *, seed: int = 0) -> Irradiance:
-    """Irradiance that a baked luminaire causes, by rays sampled from its emission.
-
-    Args:
-        num_rays: rays, rounded up to a multiple of `BATCHES`.
-        seed: root seed.
-    """
+    """Irradiance that a baked luminaire causes, by rays sampled from its emission."""
     return rays_irradiance(AssetRays(asset), asset.frame.half_extents, num_rays, seed=seed)
 
 
@@ -185,11 +180,8 @@ def rays_irradiance(
     """Irradiance that a representation of a luminaire causes, by its rays.
 
     Args:
-        rays: that leave it.
-        half_extents: [3] of the luminaire's box.
         num_rays: rounded up to a multiple of `BATCHES`.
         draw: of `Purpose.IRRADIANCE`.
-        seed: root seed.
     """
     drawn = RayBatches(
         rays, num_rays, lambda batch, _: SeedStream(Purpose.IRRADIANCE, batch, draw), seed

@@ -49,7 +49,6 @@ def axis_intensities(asset: Asset, axes: NDArray[np.float64]) -> NDArray[np.floa
     cosine. Of an asset without a light field it is the same everywhere.
 
     Args:
-        asset: any asset.
         axes: [3, 3], orthonormal, one a row, local frame.
     """
     if asset.light_field is None:
@@ -118,7 +117,6 @@ def gain_to(
         watts: [3] flux of the lamp, W.
         lumens: luminous flux, lm; None to keep it.
         temperature: colour temperature, K; None to keep the colour.
-        name: of the lamp, for messages.
 
     Raises:
         LumitreeError: the lamp emits no light, or none in a channel that the temperature needs.

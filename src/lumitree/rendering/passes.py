@@ -158,13 +158,7 @@ Renderer = Callable[
 def render_pass(
     scene: mi.Scene, integrator: mi.Integrator, seed: int, samples: int
 ) -> NDArray[np.float32]:
-    """Image [H, W, C] of one pass of the scene's first sensor; channels as `Rendering.channels`.
-
-    Args:
-        scene, integrator: what is rendered, and how.
-        seed: of the pass, 32 bits.
-        samples: samples per pixel.
-    """
+    """Image [H, W, C] of one pass of the scene's first sensor; channels as `Rendering.channels`."""
     sensor = scene.sensors()[0]
     return np.array(mi.render(scene, sensor=sensor, integrator=integrator, spp=samples, seed=seed))
 
@@ -186,10 +180,6 @@ def render_passes(
     not a number of samples, the number depends on how fast the machine is.
 
     Args:
-        scene, integrator: what is rendered, and how.
-        budget: when it ends.
-        seed: root seed.
-        name: for the display of progress.
         so_far: called with the image so far after the first pass and then every two seconds or
             more, so that it takes no more than a tenth of the time.
         renderer: what renders the passes. Default: `render_pass`, one after another.
@@ -259,11 +249,6 @@ def _rendered_here(
 
 class _Plan:
     """The passes of a budget: (seed, samples per pixel) of each in turn.
-
-    Args:
-        budget: of which the number of samples and the time limit the passes.
-        pixels: number of pixels.
-        seed: root seed.
 
     Attributes:
         batch: samples per pixel of each pass but the last.

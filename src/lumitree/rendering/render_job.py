@@ -46,11 +46,7 @@ class Described:
     by_lamp: bool | None
 
     def packed(self) -> bytes:
-        """It for `_received`, with absolute paths.
-
-        Raises:
-            LumitreeError: it cannot be pickled, as a `mitsuba.Scene`.
-        """
+        """It for `_received`, with absolute paths; refused if it cannot be pickled."""
         scene = absolute_source(self.scene)
         placements = [
             dataclasses.replace(each, source=absolute_source(each.source))

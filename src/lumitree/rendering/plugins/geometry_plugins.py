@@ -77,14 +77,7 @@ def geometry_emitter_class() -> type:
             radiance: Radiance | None = None,
             index: int = 0,
         ) -> None:
-            """Emitter of one shape.
-
-            Args:
-                lamp: emitter `lumitree` of the proxy, which has the gain.
-                lights: what emits in the lamp.
-                radiance: what the front of the surface emits; None for nothing.
-                index: of the shape in `lights`, if it emits.
-            """
+            """Emitter of shape `index` of `lights`; `lamp` is the emitter of the proxy."""
             super().__init__(make_properties("lumitree_geometry", {"sampling_weight": 0.0}))
             self._lamp, self._lights = lamp, lights
             self._gain = parameter(mi.Color3f, *lamp.placed.asset.gain)
@@ -155,11 +148,7 @@ def geometry_glass_class() -> type:
 
     class LumitreeGeometryGlass(delta_bsdf_class()):
         def __init__(self, glass: mi.BSDF) -> None:
-            """A smooth dielectric that light may also cross straight.
-
-            Args:
-                glass: whose second component is a specular transmission.
-            """
+            """The second component of `glass` is a specular transmission."""
             super().__init__(make_properties("lumitree_glass", {}))
             self._glass = glass
             self.m_components = list(glass.m_components)

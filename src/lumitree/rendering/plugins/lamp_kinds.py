@@ -24,12 +24,7 @@ _JOINED = 16
 
 
 class LampKinds:
-    """The emitters of a scene by kind.
-
-    Args:
-        emitters: `mi.Scene.emitters()`.
-        pointers: `mi.Scene.emitters_dr()`.
-    """
+    """The emitters of a scene by kind; `emitters` and `pointers` are its two lists of them."""
 
     def __init__(self, emitters: list[mi.Emitter], pointers: mi.EmitterPtr) -> None:
         lamps = {i: each for i, each in enumerate(emitters) if isinstance(each, DeferredEmitter)}
@@ -62,8 +57,6 @@ class LampKinds:
         Args:
             function: of `emitter_calls`; its emitter may also be a `LampLight`, and None for lanes
                 whose result is of no use.
-            emitter: one for each lane.
-            args: further arguments of the function; a mask is the last one.
         """
         if not self._apart:
             return dr.dispatch(emitter, function, *args)

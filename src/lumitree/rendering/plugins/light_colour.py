@@ -58,21 +58,12 @@ class LightColour:
     """Light of an asset as RGB variants render it: as it is."""
 
     def __call__(self, rgb: mi.Color3f, wavelengths: mi.Spectrum) -> mi.Spectrum:
-        """Light as a mi.Spectrum.
-
-        Args:
-            rgb: light of the asset.
-            wavelengths: of the path, nm; none in RGB variants.
-        """
+        """Light as a mi.Spectrum at wavelengths in nm; there are none in RGB variants."""
         return rgb
 
 
 class SpectralColour(LightColour):
-    """Light of an asset as spectra.
-
-    Args:
-        table: [471, 3] as of `light_table`.
-    """
+    """Light of an asset as spectra, by a table [471, 3] of `light_table`."""
 
     def __init__(self, table: NDArray[np.float64]) -> None:
         self._table = on_device(mi.Float, table)

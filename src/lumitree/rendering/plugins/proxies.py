@@ -103,10 +103,7 @@ class Proxies:
         or else if the ray is one of `starts`.
 
         Args:
-            ray: of the scene.
             after, last: what was returned for the proxy before.
-            end: distance at which the ray ends.
-            active: mask.
             starts: mask of these rays.
             skipped: mask of the lamps whose proxies are not entered at the origin (`Owners.bit`).
             sampled: vertex that the ray comes from, and density per steradian with which its BSDF
@@ -139,9 +136,7 @@ class Proxies:
     ) -> tuple[mi.Float, mi.Float, mi.UInt32, mi.UInt32]:
         """Distances at which rays cross the box of a node, no less than they do.
 
-        Returns:
-            Both distances; the node that follows if the box is missed; and the proxy that this node
-            is, or `NONE`.
+        Then the node that follows if the box is missed, and the proxy that this node is, or `NONE`.
         """
         first, second = (
             dr.gather(mi.Vector4f, self._nodes, _NODE_PACKETS * node + i, active)
@@ -214,11 +209,8 @@ class Divided(NamedTuple):
         """Where a ray ends for a lamp whose proxy it enters, as `DeferredEmitter.eval_entered`.
 
         Args:
-            ray: the ray.
             distance: where it ends for the integrator.
-            lamp: index of the emitter.
             ahead: lamp that the surface at `distance` belongs to (`Owners.of`).
-            active: mask.
         """
         mine = ahead == lamp
         other = mi.Float(dr.inf)
@@ -249,11 +241,7 @@ class Divided(NamedTuple):
 
 
 class Owners:
-    """The lamps that shapes of a scene, and media that scatter, belong to.
-
-    Args:
-        lamps: emitters by their index in the scene.
-    """
+    """The lamps, by index of their emitters, that shapes, and media that scatter, belong to."""
 
     def __init__(self, lamps: Mapping[int, DeferredEmitter]) -> None:
         # By the number of a shape.
@@ -290,11 +278,7 @@ class Owners:
 
 
 class _Numbers:
-    """Numbers by other numbers, on the device.
-
-    Args:
-        values: may be empty.
-    """
+    """Numbers by other numbers, on the device; there may be none."""
 
     def __init__(self, values: Mapping[int, int]) -> None:
         self._any = bool(values)
@@ -367,11 +351,7 @@ class DividedScene:
 
 
 def _light_insides(lamps: list[DeferredEmitter], room: list[mi.Shape]) -> bool:
-    """Let lamps light what is in their boxes: shapes of the room, and those of other lamps.
-
-    Returns:
-        Whether there are shapes of another lamp in one's box.
-    """
+    """Let lamps light shapes in their boxes; whether another lamp's shapes are in one of them."""
     boxes = np.array([lamp.placed.scene_from_box for lamp in lamps]).reshape(-1, 4, 4)
     holds, overlap = holds_objects(room, boxes), False
     for pair in overlapping(boxes):

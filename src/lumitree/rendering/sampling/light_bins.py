@@ -65,7 +65,6 @@ def smooth_bin(
 
     Args:
         direction: of any length; the random numbers are made of its bits.
-        resolution: bins a side.
         origin: of a ray whose direction many rays may have: the numbers are of both.
     """
     random = scrambled(mi.Point2f(direction.x, direction.y))
