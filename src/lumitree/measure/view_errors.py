@@ -54,7 +54,7 @@ def check_proportions(asset: Asset, frame: LocalFrame, name: str) -> None:
 def evaluate_views(asset: Asset, dataset: Dataset) -> Evaluation:
     """Compare an asset with every view of `dataset`.
 
-    What is compared is the radiance field. Of an asset without one it is the geometry, by as many
+    The radiance field is compared. For an asset without one it is the geometry, by as many
     paths a pixel as the views have, and its `geometric` opacity; or else the light field.
 
     Raises:

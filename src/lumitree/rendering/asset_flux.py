@@ -46,7 +46,7 @@ def axis_intensities(asset: Asset, axes: NDArray[np.float64]) -> NDArray[np.floa
     """Luminous intensity [6] of an asset towards three axes and against them, local units.
 
     Each is the mean over the half of all directions on its side, weighted by the square of the
-    cosine. Of an asset without a light field it is the same everywhere.
+    cosine. For an asset without a light field it is the same everywhere.
 
     Args:
         axes: [3, 3], orthonormal, one a row, local frame.
@@ -69,10 +69,8 @@ def axis_intensities(asset: Asset, axes: NDArray[np.float64]) -> NDArray[np.floa
 def asset_watts(asset: Asset) -> NDArray[np.float64]:
     """Flux [3] that an asset emits, W: R, G and B, if lengths of its file are in metres.
 
-    Its gain is included.
-
-    That of the light field, which illuminates scenes, is exact. That of an asset without
-    one is estimated from 2²⁰ rays of the field, always with the same random numbers.
+    Its gain is included. The flux of the light field, which illuminates scenes, is exact. Without a
+    light field it is estimated from 2²⁰ rays of the field, always with the same random numbers.
     """
     if asset.light_field is not None:
         return light_field_watts(asset.light_field) * asset.gain * asset.frame.scale**2

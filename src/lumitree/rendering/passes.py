@@ -121,9 +121,9 @@ def _rendering(sums: PassSums) -> Rendering:
 def _noise(sums: PassSums) -> float | None:
     """As `Rendering.noise`.
 
-    The variance of one sample is Σ_k n_k (x_k - x)² / (K - 1), and that of the mean the N-th part
-    of it. Where light is found by rare samples only, most pixels have neither light nor variance
-    yet: only the mean over many of them is known.
+    The variance of one sample is Σ_k n_k (x_k - x)² / (K - 1), and the variance of the mean its
+    N-th part. Where light is found by rare samples only, most pixels have neither light nor
+    variance yet: only the mean over many of them is known.
     """
     if sums.passes < 2:
         return None
@@ -176,8 +176,8 @@ def render_passes(
 ) -> Rendering:
     """Render the scene's first sensor until a budget is spent.
 
-    Equal seeds and numbers of samples give images that agree within rounding. Of a budget that is
-    not a number of samples, the number depends on how fast the machine is.
+    Equal seeds and numbers of samples give images that agree within rounding. With a budget
+    that is not a number of samples, the number depends on how fast the machine is.
 
     Args:
         so_far: called with the image so far after the first pass and then every two seconds or
@@ -193,7 +193,11 @@ def render_passes(
         spent = _share(budget, sums, _noise(sums))
         plan.continue_after(sums.samples, sums.seconds, is_over=spent >= 1)
     next_time = 0.0
-    images = _rendered_here(scene, integrator, plan) if renderer is None else renderer(plan)
+    if renderer is None:
+        here = (render_pass(scene, integrator, *each) for each in plan)
+        images = contextlib.nullcontext(here)
+    else:
+        images = renderer(plan)
     with progress(name, 1.0) as advance, images as rendered, _kept(saved, lambda: sums):
         advance(spent)
         for image in rendered:
@@ -237,14 +241,6 @@ def _kept(saved: SavedPasses | None, sums: Callable[[], PassSums | None]) -> Ite
         found = sums()
         if saved is not None and found is not None:
             saved.save(found)
-
-
-@contextlib.contextmanager
-def _rendered_here(
-    scene: mi.Scene, integrator: mi.Integrator, passes: Iterable[tuple[int, int]]
-) -> Iterator[Iterator[NDArray[np.float32]]]:
-    """The `Renderer` of this process."""
-    yield (render_pass(scene, integrator, *each) for each in passes)
 
 
 class _Plan:

@@ -131,7 +131,7 @@ def forget_passes(folder: FilePath) -> None:
 def image_identity(
     scene: Any, placed: "Sequence[PlacedLuminaire]", settings: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """What makes an image, as members of a JSON object; equal for images that are continued.
+    """Inputs of an image, as members of a JSON object; equal for images that are continued.
 
     Raises:
         LumitreeError: the scene or a luminaire is no file, and so cannot be compared later.
@@ -191,7 +191,7 @@ def _checked(arrays: Mapping[str, NDArray[Any]], batch: int, limit: int) -> Pass
     expect("state", bool(np.isfinite(arrays["seconds"])), "seconds is not finite")
     samples, passes, seconds = (arrays[each].item() for each in ("samples", "passes", "seconds"))
     expect("state", 0 < passes <= samples <= MAX_SAMPLES and seconds >= 0, "it has no passes")
-    # Else the passes to come would have other seeds than those of an image that was never stopped.
+    # Else the passes to come would have other seeds than in an image that was never stopped.
     whole = samples % batch == 0 or samples == limit
     expect("state", whole, "its last pass has fewer samples than are asked for")
     expect("state", samples <= limit, f"it has {samples} samples per pixel, more than asked for")

@@ -113,7 +113,7 @@ class Reservoir:
     def segments(self, scale: Any) -> EndingSegments:
         """One segment of each path that has any; their flux is multiplied by `scale`.
 
-        What a limit of the flux has cut off is given to all of them.
+        Flux cut off by a limit is given to all of them.
         """
         scale = scale * restoring_factor(self.whole, self.total)
         kept = dr.select(self.luminance > 0, self.flux * (self.total / self.luminance) * scale, 0)

@@ -26,7 +26,7 @@ _NOTE = (
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Plan:
-    """What is drawn of an area.
+    """The drawn parts of an area.
 
     Attributes:
         area: its figures.

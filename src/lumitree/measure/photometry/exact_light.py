@@ -32,7 +32,7 @@ _MAX_ERROR, _EDGE_LIGHT = 0.0025, 0.002
 
 @dataclasses.dataclass(frozen=True)
 class ExactLight:
-    """What is known of the light of an asset without rays; local units.
+    """Light of an asset as far as it is known without rays; local units.
 
     Attributes:
         intensity: function of local unit directions [N, 3]: luminous intensity [N].

@@ -55,7 +55,7 @@ _OPENING_RAYS, _MIN_RAYS, _MIN_SIZE = 1 << 14, 1 << 8, 1e-3
 
 @dataclasses.dataclass(frozen=True)
 class Source:
-    """What is measured.
+    """The luminaire that is measured.
 
     Attributes:
         frame: its local frame; the world has y up, and lengths in metres.

@@ -1,4 +1,4 @@
-"""What an integrator may ask of an emitter whose radiance is costly."""
+"""Protocol of an emitter whose radiance is costly."""
 
 from __future__ import annotations
 

@@ -73,7 +73,7 @@ class EmitterSelection:
             self._other_indices = on_device(mi.UInt32, others)
             pmf[others] = _OTHERS * weights[others] / weights.sum()
         numbers = np.array(dr.reinterpret_array(mi.UInt32, scene.emitters_dr()))
-        # By the number of an emitter among all those of the process.
+        # By the number of an emitter among all emitters of the process.
         index_of = np.full(numbers.max() + 1, NO_LAMP, np.uint32)
         pmf_of = np.zeros(numbers.max() + 1)
         index_of[numbers], pmf_of[numbers] = np.arange(len(emitters)), pmf

@@ -32,7 +32,7 @@ class LampKinds:
         kinds: dict[Hashable, int] = {}
         self._lights: list[LampLight] = []
         numbers = np.array(dr.reinterpret_array(mi.UInt32, pointers))
-        # By the number of an emitter among all those of the process.
+        # By the number of an emitter among all emitters of the process.
         kind_of = np.full(numbers.max(initial=0) + 1, len(lamps), np.uint32)
         rows = np.zeros((len(kind_of), 4 * _PACKETS))
         slot_of = np.zeros(len(kind_of), np.uint32)

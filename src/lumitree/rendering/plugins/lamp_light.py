@@ -1,4 +1,4 @@
-"""What a baked luminaire sends out, where it stands: the calls of `DeferredEmitter` that cost."""
+"""Emission of a baked luminaire, where it stands: the calls of `DeferredEmitter` that cost."""
 
 from __future__ import annotations
 

@@ -62,7 +62,7 @@ def shows_geometry(asset: FieldData, appearance: Appearance) -> bool:
 
 
 class Placed:
-    """What the emitter and the BSDF share: a field, its proxy and where they stand."""
+    """Members that the emitter and the BSDF share: a field, its proxy and where they stand."""
 
     def __init__(self, props: mi.Properties) -> None:
         options = plugin_options(props)
@@ -130,9 +130,9 @@ class Placed:
     def receiver(self, point: mi.Point3f) -> mi.Point3f:
         """A point of the local frame where it gets the light that leaves the box.
 
-        What touches the box, such as the table below a lamp, may be a little inside of it. Its
-        light is that of the nearest point outside. Points get it where they are if the box holds
-        things.
+        An object that touches the box, such as the table below a lamp, may be a little inside of
+        it. It gets the light of the nearest point outside. Points get it where they are if the box
+        holds things.
         """
         if self.holds:
             return point

@@ -35,7 +35,7 @@ NONE = ALL = 0xFFFFFFFF
 # what is in it, `sampled_alone_radius`, the number of its bit in masks of lamps, and 0; and of a
 # node of the tree.
 _PACKETS, _NODE_PACKETS = 4, NODE_NUMBERS // 4
-# Bits of a mask of lamps. Of more lamps than that some share one.
+# Bits of a mask of lamps. If there are more lamps than bits, some share one.
 _BITS = 32
 # Part of the distance by which a ray may miss a node's box.
 _SLACK = 1e-5
@@ -191,9 +191,9 @@ class Divided(NamedTuple):
         surfaces: the scene that rays are traced against.
         proxies: those that it leaves out.
         room: what is traced where the own surfaces of a lamp do not block: the surfaces without
-            those of lamps; None if no lamp needs it.
+            the lamps' own; None if no lamp needs it.
         overlap: whether lamps whose surfaces are traced have boxes that overlap. Then `room` has
-            the surfaces of all lamps, and those of one are passed by.
+            the surfaces of all lamps, and the surfaces of one are passed by.
         owners: whose surfaces are whose.
     """
 
@@ -313,7 +313,7 @@ class DividedScene:
         self._asked: weakref.WeakSet[Placed] = weakref.WeakSet()
 
     def of(self, scene: mi.Scene) -> Divided:
-        """What rays of a scene are traced against, and the proxies that it leaves out.
+        """The surfaces that rays of a scene are traced against, and the proxies that it leaves out.
 
         The scene itself, if it has no proxies or cannot be divided: under OptiX one kernel traces
         one scene. Then there is no `room`, and what is in a box throws shadows only beyond the cell
@@ -379,7 +379,7 @@ def is_instance(shape: mi.Shape) -> bool:
 
 
 def _geometry(shape: mi.Shape) -> list[Any]:
-    """The parameters of a shape itself, without those of its BSDF and its emitter."""
+    """The parameters of a shape itself, without its BSDF and its emitter."""
     parameters = mi.traverse(shape)
     values = (parameters[name] for name in parameters.properties if "." not in name)
     # Mitsuba returns references to some values, which change with the shape.

@@ -125,7 +125,7 @@ class DividedSampler(DirectionSampler):
         specular_chain: mi.Bool | bool,
         span: Span = None,
     ) -> tuple[mi.Color3f, mi.Float]:
-        """What rays get of a radiance for receivers, and their transmittance."""
+        """Part that rays get of a radiance for receivers, and their transmittance."""
         if not self._asset.num_leaves:
             return radiance, mi.Float(1)
         seen, through = self._field.emission(entry, direction, active & specular_chain, span)

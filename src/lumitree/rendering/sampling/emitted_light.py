@@ -45,7 +45,6 @@ class EmittedLight:
         gain: [3] factors on R, G and B, not all 0.
 
     Attributes:
-        cells: the cells.
         scale: mi.Float, unit of intensities.
         by_cell: [C] luminous flux of cells over `scale`.
     """

@@ -91,7 +91,7 @@ class RayEnds(NamedTuple):
 
 
 class DirectionSampler(Protocol):
-    """What an emitter needs of its sampler; all quantities are in the lamp's local frame.
+    """Interface of an emitter's sampler; all quantities are in the lamp's local frame.
 
     `EmitterSampler` documents what is not documented here.
     """
@@ -205,7 +205,6 @@ class DirectionSampler(Protocol):
         """Radiance, transmittance and density of a ray that has hit the proxy.
 
         Args:
-            x, entry, direction, distance, specular_chain, active: as for `eval`.
             bsdf_pdf, emitter_pmf: as for `eval_target`; a probability of 0 if next-event
                 estimation could not have found the direction.
         """
@@ -216,7 +215,7 @@ class DirectionSampler(Protocol):
 
 
 class EmitterSampler(DirectionSampler):
-    """Samples directions towards a field, by its leaves and uniformly; without them uniformly only."""
+    """Samples directions towards a field, by its leaves and uniformly; uniformly if it has none."""
 
     def __init__(self, proxy: BoxProxy, field: Field, leaves: LightLeaves | None) -> None:
         self._proxy, self._field, self._leaves = proxy, field, leaves

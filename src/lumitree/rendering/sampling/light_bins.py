@@ -1,6 +1,6 @@
 """Bins of direction of a light field, and the packed numbers in them.
 
-Symbols are those of `light_field`.
+Symbols are as in `light_field`.
 """
 
 from __future__ import annotations

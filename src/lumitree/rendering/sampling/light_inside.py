@@ -50,7 +50,7 @@ _NONE = 0xFFFFFFFF
 
 
 def inside_light(asset: Asset, *, blocked: bool) -> InsideLight:
-    """What an asset sends to receivers inside its box, shared by all instances of a lamp.
+    """Light that an asset sends to receivers inside its box, shared by all instances of a lamp.
 
     With `blocked`, the lamp's own surfaces are in the scene.
     """
@@ -145,7 +145,6 @@ class InsideLight:
     def sample_point(
         self, x: mi.Point3f, sample: mi.Point2f, active: mi.Bool
     ) -> tuple[mi.Point3f, mi.UInt32, mi.Float]:
-        """As `DeviceLightField.sample_point`."""
         cell, chance = self._table.sample(self._receivers.index(x), sample.x, active)
         return self.cells.point(cell, scrambled(sample), active), cell, chance
 
@@ -158,7 +157,6 @@ class InsideLight:
         other: mi.Float,
         active: mi.Bool,
     ) -> mi.Color3f:
-        """As `DeviceLightField.contribution`."""
         volume = dr.gather(mi.Float, self.cells.volume, cell, active)
         density = chance * dr.square(distance) + other * volume
         light = self._light(cell, -direction, distance, active, blocked=self.blocked)
@@ -175,7 +173,7 @@ class InsideLight:
     ) -> mi.Color3f:
         """As `DeviceLightField.received`, for a ray from `entry` in the box on.
 
-        The light of a cell is that at the middle of the ray's way in it.
+        Each cell's light is taken at the middle of the ray's way in it.
         """
         row = self._receivers.index(x)
         shared = mi.Bool(active) & (inverse > 0)
