@@ -87,7 +87,6 @@ def with_light(asset: Asset, lumens: float | None, temperature: float | None) ->
     """The asset with the gain that gives it a luminous flux and a colour temperature (`gain_to`).
 
     Args:
-        asset: any asset.
         lumens: luminous flux, lm, if lengths of its file are in metres; None to keep it.
         temperature: colour temperature of the whole flux, K; None to keep the colour.
 

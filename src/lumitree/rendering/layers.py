@@ -122,7 +122,6 @@ class Layers(Unrecorded):
             emitter: one for each path.
             radiance: its part of the pixel.
             seen: whether there are only specular surfaces between it and the camera.
-            active: mask.
         """
         number = dr.reinterpret_array(mi.UInt32, emitter)
         group = dr.gather(mi.UInt32, self._group_of, number, active)

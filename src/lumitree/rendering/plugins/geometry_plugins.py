@@ -46,7 +46,6 @@ class GeometryEmitter(Protocol):
             si: the point, on the shape.
             it: the vertex that the ray comes from.
             ds: from `it` to the point.
-            active: mask.
 
         Returns:
             Radiance towards `si.wi`; and density per steradian with which a point of the shape that
