@@ -22,10 +22,8 @@ class RayBatches:
     estimate of all.
 
     Args:
-        rays: what is drawn from.
         num_rays: number of samples, rounded up to equal pieces.
         stream: function of a batch and of the index of a piece in it: the piece's random numbers.
-        seed: root seed.
         pieces: pieces of each batch, which bound the memory of large ones.
 
     Attributes:
@@ -60,9 +58,7 @@ def jackknife(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Values of a figure for all batches, and their standard errors.
 
-    Args:
-        figure: takes a mask [B] of the batches to use.
-        batches: number of batches B.
+    `figure` takes a mask [B] of the batches to use.
     """
     value = np.asarray(figure(np.ones(batches, bool)), np.float64)
     without = [figure(np.arange(batches) != left_out) for left_out in range(batches)]

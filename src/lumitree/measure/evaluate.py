@@ -215,13 +215,10 @@ def _references(
     sizes: tuple[int, int, int | None],
     time: float | None,
 ) -> tuple["Luminaire | None", Dataset]:
-    """The views to compare with: those of a dataset, or new ones of the luminaire, which is first.
+    """The views of a dataset, or new ones of the luminaire, whose folder `stack` removes.
 
-    Args:
-        asset: what is compared, whose box has the proportions of the luminaire's.
-        stack: removes the folder of new views when it is closed.
-        sizes: number, resolution and samples per pixel of new views.
-        time: see `evaluate`.
+    `asset` has a box of the proportions of the luminaire's. `sizes`: number, resolution and samples
+    per pixel of new views.
     """
     from lumitree.lamp.loading import load_luminaire
     from lumitree.measure.view_errors import check_proportions
@@ -251,12 +248,7 @@ def _references(
 
 
 def _samples_in(time: float | None, lamp: "Luminaire", resolution: int, pixels: int) -> int:
-    """Paths per pixel that a time allows, a power of two; see `evaluate`.
-
-    Args:
-        resolution: of the views, pixels.
-        pixels: of all images together.
-    """
+    """Paths per pixel that a time allows, a power of two; `pixels` are of all images together."""
     from lumitree.core.directions import FIRST_TEST_INDEX, view_pose
     from lumitree.core.seeds import Purpose, SeedStream
     from lumitree.trace.cameras import Camera
@@ -287,7 +279,6 @@ def compare_assets(
     """As `lumitree.evaluate`, with another asset: only the irradiance is compared.
 
     Args:
-        path: file of `asset`, if it is one.
         sheet: file to write, with the irradiance in false colour.
 
     Raises:

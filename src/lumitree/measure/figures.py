@@ -26,7 +26,6 @@ class SheetRow:
     """One view of a sheet.
 
     Attributes:
-        name: name of the view, e.g. "view 100001".
         reference: [H, W, 3] radiance of the luminaire.
         baked: [H, W, 3] radiance of the asset, same unit.
         reference_opacity: [H, W] in [0, 1].

@@ -162,8 +162,7 @@ class _View:
 def _position_index(across: NDArray[np.float64], up: NDArray[np.float64]) -> NDArray[np.float64]:
     """Position index by Guth, and below the line of sight by Iwata and Tokura; at most 16.
 
-    Args:
-        across, up: [N] offsets from the line of sight at a distance of 1.
+    Offsets [N] from the line of sight are at a distance of 1.
     """
     tangent = np.hypot(across, up)
     sigma, tau = np.degrees(np.arctan(tangent)), np.degrees(np.arctan2(np.abs(across), up))

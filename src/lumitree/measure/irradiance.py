@@ -30,7 +30,7 @@ from lumitree.trace.lamp_rays import LampRays
 from lumitree.trace.tracing import PATH_DEPTH
 
 FACES = ("-x", "+x", "-y", "+y", "-z", "+z", "touching")
-# The first faces are those of the cube.
+# The first faces are the faces of the cube.
 NUM_CUBE_FACES = 6
 # Half side of the cube, local units, and patches along a side of each square.
 CUBE_HALF_SIDE = 3.0
@@ -126,7 +126,7 @@ class IrradianceEvaluation:
         Returns:
             `paths`; `ratio_error`, the standard error of `irradiance_ratio`; and `faces`: for each
             of `FACES` the means `explicit_lux` and `baked_lux`, `ratio`, `ratio_error`, `rms` and
-            `rms_error`. What is not defined (see `IrradianceError`) is None.
+            `rms_error`. Undefined values (see `IrradianceError`) are None.
         """
         columns = {
             "explicit_lux": self.explicit.lux.mean(axis=(1, 2)),
@@ -155,7 +155,6 @@ def luminaire_irradiance(
     Args:
         num_paths: light paths, rounded up to a multiple of `BATCHES`.
         path_depth: longest path, events.
-        seed: root seed.
 
     Raises:
         LumitreeError: a path's flux is NaN or infinite.
@@ -165,12 +164,7 @@ def luminaire_irradiance(
 
 
 def asset_irradiance(asset: Asset, num_rays: int, *, seed: int = 0) -> Irradiance:
-    """Irradiance that a baked luminaire causes, by rays sampled from its emission.
-
-    Args:
-        num_rays: rays, rounded up to a multiple of `BATCHES`.
-        seed: root seed.
-    """
+    """Irradiance that a baked luminaire causes, by rays sampled from its emission."""
     return rays_irradiance(AssetRays(asset), asset.frame.half_extents, num_rays, seed=seed)
 
 
@@ -185,11 +179,8 @@ def rays_irradiance(
     """Irradiance that a representation of a luminaire causes, by its rays.
 
     Args:
-        rays: that leave it.
-        half_extents: [3] of the luminaire's box.
         num_rays: rounded up to a multiple of `BATCHES`.
         draw: of `Purpose.IRRADIANCE`.
-        seed: root seed.
     """
     drawn = RayBatches(
         rays, num_rays, lambda batch, _: SeedStream(Purpose.IRRADIANCE, batch, draw), seed
@@ -234,7 +225,7 @@ def evaluate_irradiance(
         LumitreeError: a path's flux is NaN or infinite.
     """
     if isinstance(reference, Asset):
-        # Another seed than that of `asset`: the two estimates are independent.
+        # Another seed than for `asset`: the two estimates are independent.
         explicit = asset_irradiance(reference, num_paths, seed=1)
     else:
         explicit = luminaire_irradiance(reference, num_paths)

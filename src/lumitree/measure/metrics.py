@@ -85,7 +85,7 @@ def view_metrics(
         `psnr_pu21` (dB) of `pu21(radiance / L_max * 4000 cd/m²)` in each channel with peak 256;
         `hdr_flip` (0 to 1; 0 for equal images), if `flip-evaluator` is installed; `rel_mse`;
         `opacity_rmse` (0 to 1); and the PSNRs of an all-black prediction, `psnr_linear_black` and
-        `psnr_mulaw_black` (dB). SSIM is that of Wang et al., "Image Quality Assessment: From Error
+        `psnr_mulaw_black` (dB). SSIM is by Wang et al., "Image Quality Assessment: From Error
         Visibility to Structural Similarity", 2004.
 
     Raises:
@@ -101,7 +101,8 @@ def view_metrics(
         raise LumitreeError(
             f"opacity has shape {r_opacity.shape}; expected {r.shape[:2]}, that of the radiance"
         )
-    _check_max_radiance(max_radiance)
+    if not (np.isfinite(max_radiance) and max_radiance > 0):
+        raise LumitreeError(f"L_max is {max_radiance}; expected a positive radiance")
 
     b_linear, r_linear = (np.clip(image / max_radiance, 0, 1) for image in (b, r))
     b_mulaw, r_mulaw = mulaw(b_linear), mulaw(r_linear)
@@ -141,7 +142,7 @@ def mean_metrics(views: Sequence[Mapping[str, float]]) -> dict[str, float]:
 
 
 def gain_over_black(metrics: Mapping[str, float]) -> dict[str, float]:
-    """By how many decibels the PSNRs of an asset exceed those of an all-black prediction.
+    """By how many decibels the PSNRs of an asset exceed an all-black prediction's.
 
     Where a lamp covers few pixels, even a black prediction has a high PSNR. The gain of a view is
     10 log10(mean squared error of black / mean squared error of the asset). Below 0 dB, black has
@@ -286,7 +287,7 @@ def ssim(image: NDArray[np.floating], reference: NDArray[np.floating]) -> float:
 def rel_mse(baked: NDArray[np.floating], reference: NDArray[np.floating]) -> float:
     """Relative mean squared error, mean((b - r)² / (r² + 0.01)), over pixels and channels.
 
-    The form is that of Rousselle et al., "Adaptive Sampling and Reconstruction using Greedy Error
+    The form is by Rousselle et al., "Adaptive Sampling and Reconstruction using Greedy Error
     Minimization", 2011. The 0.01 is in squared radiance, so the value depends on the unit.
     """
     return float(np.mean((baked - reference) ** 2 / (reference**2 + REL_MSE_EPSILON)))
@@ -300,7 +301,7 @@ def hdr_flip(
     Andersson et al., "Visualizing Errors in Rendered High Dynamic Range Images", 2021, by NVIDIA's
     `flip-evaluator`; negative radiance counts as black.
 
-    The exposures are those of `flip_exposures`, which differ from the package's.
+    The exposures are from `flip_exposures`; they differ from the package's.
 
     Raises:
         LumitreeError: `flip-evaluator` is not installed.
@@ -374,8 +375,3 @@ def _same_shape(baked: NDArray[np.floating], reference: NDArray[np.floating], wh
         raise LumitreeError(
             f"baked and reference {what} differ in shape: {baked.shape} and {reference.shape}"
         )
-
-
-def _check_max_radiance(max_radiance: float) -> None:
-    if not (np.isfinite(max_radiance) and max_radiance > 0):
-        raise LumitreeError(f"L_max is {max_radiance}; expected a positive radiance")

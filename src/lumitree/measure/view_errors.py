@@ -43,12 +43,7 @@ class Evaluation:
 
 
 def check_proportions(asset: Asset, frame: LocalFrame, name: str) -> None:
-    """Refuse a luminaire whose bounding box has other proportions than that of an asset.
-
-    Args:
-        frame: of the luminaire.
-        name: of the luminaire.
-    """
+    """Refuse a luminaire whose bounding box has other proportions than an asset's."""
     if np.abs(asset.frame.half_extents - frame.half_extents).max() > 1e-3:
         raise LumitreeError(
             f"the asset ({shown(asset.luminaire, 200)}) and {shown(name, 200)} have bounding "
@@ -59,7 +54,7 @@ def check_proportions(asset: Asset, frame: LocalFrame, name: str) -> None:
 def evaluate_views(asset: Asset, dataset: Dataset) -> Evaluation:
     """Compare an asset with every view of `dataset`.
 
-    What is compared is the radiance field. Of an asset without one it is the geometry, by as many
+    The radiance field is compared. For an asset without one it is the geometry, by as many
     paths a pixel as the views have, and its `geometric` opacity; or else the light field.
 
     Raises:

@@ -53,8 +53,8 @@ def open_asset(asset: Asset | str | os.PathLike[str]) -> Asset:
     """The asset of a file, of a name that `file_name` gave, or the asset itself.
 
     Args:
-        asset: an asset, the path of a `.lumitree` file, or that of a photometric file or ray file,
-            of which an asset of the quality "standard" is made.
+        asset: an asset, the path of a `.lumitree` file, or the path of a photometric file or ray
+            file, of which an asset of the quality "standard" is made.
 
     Raises:
         LumitreeError: the file is missing or damaged, or is something else, which is named.

@@ -46,10 +46,9 @@ def axis_intensities(asset: Asset, axes: NDArray[np.float64]) -> NDArray[np.floa
     """Luminous intensity [6] of an asset towards three axes and against them, local units.
 
     Each is the mean over the half of all directions on its side, weighted by the square of the
-    cosine. Of an asset without a light field it is the same everywhere.
+    cosine. For an asset without a light field it is the same everywhere.
 
     Args:
-        asset: any asset.
         axes: [3, 3], orthonormal, one a row, local frame.
     """
     if asset.light_field is None:
@@ -70,10 +69,8 @@ def axis_intensities(asset: Asset, axes: NDArray[np.float64]) -> NDArray[np.floa
 def asset_watts(asset: Asset) -> NDArray[np.float64]:
     """Flux [3] that an asset emits, W: R, G and B, if lengths of its file are in metres.
 
-    Its gain is included.
-
-    That of the light field, which illuminates scenes, is exact. That of an asset without
-    one is estimated from 2²⁰ rays of the field, always with the same random numbers.
+    Its gain is included. The flux of the light field, which illuminates scenes, is exact. Without a
+    light field it is estimated from 2²⁰ rays of the field, always with the same random numbers.
     """
     if asset.light_field is not None:
         return light_field_watts(asset.light_field) * asset.gain * asset.frame.scale**2
@@ -90,7 +87,6 @@ def with_light(asset: Asset, lumens: float | None, temperature: float | None) ->
     """The asset with the gain that gives it a luminous flux and a colour temperature (`gain_to`).
 
     Args:
-        asset: any asset.
         lumens: luminous flux, lm, if lengths of its file are in metres; None to keep it.
         temperature: colour temperature of the whole flux, K; None to keep the colour.
 
@@ -118,7 +114,6 @@ def gain_to(
         watts: [3] flux of the lamp, W.
         lumens: luminous flux, lm; None to keep it.
         temperature: colour temperature, K; None to keep the colour.
-        name: of the lamp, for messages.
 
     Raises:
         LumitreeError: the lamp emits no light, or none in a channel that the temperature needs.

@@ -89,15 +89,7 @@ def geometry_integrator() -> mi.Integrator:
 class LampCamera:
     """A square orthographic camera before a lamp; the scene is loaded once.
 
-    Args:
-        scene: members of the scene, for `mi.load_dict`, without a camera.
-        integrator: what renders it.
-        half_width: half the side of the images, local units.
-        resolution: pixels per side.
-        scene_from_local: [4, 4]. Default: the frame of the scene is the local one.
-
-    Attributes:
-        scene: the scene.
+    Arguments and units as for `shown_images`. The frame of the scene is the local one by default.
     """
 
     def __init__(
@@ -121,13 +113,7 @@ class LampCamera:
     def take(
         self, pose: NDArray[np.float64], samples_per_pixel: int, index: int, name: str
     ) -> Images:
-        """Radiance and opacity of a view, as `shown_images`.
-
-        Args:
-            pose: [4, 4] `local_from_camera`.
-            index: of the view, for its random numbers.
-            name: of the view, for its progress.
-        """
+        """Radiance and opacity of a view, as `shown_images`; `index` makes its random numbers."""
         # Mitsuba's cameras look along +z, with x to the left.
         axes = np.diag([-self._half_width, self._half_width, -1, 1])
         parameters = mi.traverse(self.scene.sensors()[0])

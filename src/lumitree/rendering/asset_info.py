@@ -1,4 +1,4 @@
-"""What is known of an asset without its luminaire: its contents and its flux."""
+"""Information about an asset without its luminaire: its contents and its flux."""
 
 import os
 from pathlib import Path
@@ -22,9 +22,9 @@ def asset_json(asset: Asset, path: str | os.PathLike[str] | None) -> Json:
 
 
 def asset_report(asset: Asset, path: str | os.PathLike[str]) -> Json:
-    """What `lumitree info` states: `asset_json`, and the luminous flux, lm, for metres.
+    """The output of `lumitree info`: `asset_json`, and the luminous flux, lm, for metres.
 
-    Of a photometric file it has what the file states of how it was made, too.
+    For a photometric file it includes what the file states of how it was made.
     """
     from lumitree.formats.photometric_file import details_of
     from lumitree.rendering.asset_flux import asset_lumens

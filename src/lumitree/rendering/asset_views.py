@@ -30,13 +30,7 @@ def baked_image(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Orthographic image of a baked luminaire: its field, or its light field without one.
 
-    Args:
-        local_from_camera: [4, 4] pose of the camera, which looks along its -z.
-        half_width: half the side of the image, local units.
-        resolution: pixels per side.
-
-    Returns:
-        Radiance [H, W, 3], W/(m² sr), and opacity [H, W].
+    Arguments, units and results as for `shown_images`.
     """
     field = shared_field(asset)
     return image_of(
@@ -53,12 +47,7 @@ def image_of(
     half_width: float,
     resolution: int,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Orthographic image by rays, as `baked_image`.
-
-    Args:
-        seen: radiance and transmittance of rays, by their origins on the
-            plane of the camera and their unit directions.
-    """
+    """Orthographic image, as `baked_image`, by radiance and transmittance of rays."""
     fine = resolution * RAYS_A_SIDE
     index = dr.arange(mi.UInt32, fine * fine)
     # Rays of one pixel have consecutive indices, so that a block sum averages them.

@@ -31,8 +31,8 @@ class CameraView:
 def camera_view(sensor: mi.Sensor) -> CameraView | None:
     """View of a camera; None if it is not a perspective one, with or without a lens.
 
-    Nor is there one of an image whose centre is not on the camera's axis: that of a crop window, or
-    with an offset of the principal point.
+    Nor is there one of an image whose centre is not on the camera's axis: in a crop window, or with
+    an offset of the principal point.
     """
     parameters, film = mi.traverse(sensor), sensor.film()
     if "x_fov" not in parameters:

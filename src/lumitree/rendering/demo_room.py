@@ -28,14 +28,8 @@ def demo_room(width: int = 320, *, ball_in_box: bool = False) -> Any:
 def demo_room_description(width: int = 320, *, ball_in_box: bool = False) -> dict[str, Any]:
     """Room of 4 x 2.4 x 4 metres, y up, with a lit window behind the lamp (an area light).
 
-    Through the gaps of the lamp the window shows; its light throws the lamp's shadow.
-
-    Args:
-        width: of the image, pixels.
-        ball_in_box: a ball hangs from the ceiling into the lamp's bounding box.
-
-    Returns:
-        Dictionary as for `mitsuba.load_dict`.
+    Through the gaps of the lamp the window shows; its light throws the lamp's shadow. With
+    `ball_in_box` a ball hangs from the ceiling into the lamp's bounding box.
     """
     to = mi.ScalarTransform4f
 

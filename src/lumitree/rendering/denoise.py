@@ -20,7 +20,7 @@ def check_denoiser() -> None:
 
 
 def denoised(recorded: Recorded) -> Recorded:
-    """What was recorded, with illumination that has less noise.
+    """The recorded buffers, with illumination that has less noise.
 
     The image has to be rendered with a box filter: the noise of pixels that share samples is taken
     for a texture.

@@ -23,12 +23,7 @@ def integrator_for(
 ) -> mi.Integrator:
     """The integrator of a scene, or what replaces it.
 
-    Args:
-        scene: as it was loaded.
-        described: of its integrator; None where it has none, or one that was created
-            before, whose settings cannot be read.
-        title: of the scene, for messages.
-        heterogeneous: whether it has heterogeneous media.
+    `described` is None where the scene has none, or one whose settings cannot be read.
     """
     tracer, own = _path_tracer(heterogeneous), scene.integrator()
     kind = described.plugin_name() if described is not None else None

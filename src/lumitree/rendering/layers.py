@@ -1,4 +1,4 @@
-"""What an image is made of: the light of each lamp apart, and buffers that describe the surfaces.
+"""Components of an image: the light of each lamp apart, and buffers that describe the surfaces.
 
 `lumitree_path` accumulates these along its paths, and its film stores them as further channels.
 """
@@ -24,7 +24,7 @@ _CHANNELS = {"albedo": "RGB", "normal": "XYZ"}
 
 @dataclasses.dataclass(frozen=True)
 class Recorded:
-    """What is recorded beside an image of H rows and W columns.
+    """Buffers recorded beside an image of H rows and W columns.
 
     Attributes:
         seen: [groups, H, W, 3], radiance of emitters that reaches the camera by specular surfaces
@@ -81,7 +81,7 @@ class Layers(Unrecorded):
     def __init__(self, scene: mi.Scene, shapes: Sequence[str] = ()) -> None:
         self.groups = 1 + len(shapes)
         emitters = np.array(dr.reinterpret_array(mi.UInt32, scene.emitters_dr()))
-        # By the number of an emitter among all those of the process.
+        # By the number of an emitter among all emitters of the process.
         group_of = np.zeros(emitters.max(initial=0) + 1, np.uint32)
         for number, emitter in zip(emitters, scene.emitters(), strict=True):
             shape = emitter.get_shape()
@@ -98,7 +98,7 @@ class Layers(Unrecorded):
         return light + [f"{buffer}.{c}" for buffer in BUFFERS for c in _CHANNELS[buffer]]
 
     def start(self) -> dict[str, Any]:
-        """What is recorded of paths that have not met anything yet."""
+        """Buffers of paths that have not met anything yet."""
         return {
             "seen": [mi.Color3f(0) for _ in range(self.groups)],
             "lit": [mi.Color3f(0) for _ in range(self.groups)],
@@ -122,7 +122,6 @@ class Layers(Unrecorded):
             emitter: one for each path.
             radiance: its part of the pixel.
             seen: whether there are only specular surfaces between it and the camera.
-            active: mask.
         """
         number = dr.reinterpret_array(mi.UInt32, emitter)
         group = dr.gather(mi.UInt32, self._group_of, number, active)
@@ -146,7 +145,7 @@ class Layers(Unrecorded):
         return [colour[i] for colour in colours for i in range(3)]
 
     def divide(self, channels: NDArray[np.float32]) -> Recorded:
-        """What the film's further channels [H, W, C] hold."""
+        """Buffers in the film's further channels [H, W, C]."""
         height, width = channels.shape[:2]
         images = channels.reshape(height, width, -1, 3)
         groups = self.groups

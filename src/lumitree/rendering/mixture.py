@@ -79,7 +79,7 @@ def mix(
             colours, rendered = read_exr(layers), read_comment(layers)
         shapes = {np.shape(colour) for colour in colours.values()}
         alike = len(shapes) == 1 and all(len(s) == 3 and s[2] == 3 for s in shapes)
-        # Other files have other channels too, such as those of --aov.
+        # Other files have other channels too, such as AOVs.
         if not alike or (file is not None and "RGB" in colours):
             raise LumitreeError(
                 f"{what} is not made of layers alone; expected channels NAME.R, NAME.G and NAME.B "

@@ -121,9 +121,9 @@ def _rendering(sums: PassSums) -> Rendering:
 def _noise(sums: PassSums) -> float | None:
     """As `Rendering.noise`.
 
-    The variance of one sample is Σ_k n_k (x_k - x)² / (K - 1), and that of the mean the N-th part
-    of it. Where light is found by rare samples only, most pixels have neither light nor variance
-    yet: only the mean over many of them is known.
+    The variance of one sample is Σ_k n_k (x_k - x)² / (K - 1), and the variance of the mean its
+    N-th part. Where light is found by rare samples only, most pixels have neither light nor
+    variance yet: only the mean over many of them is known.
     """
     if sums.passes < 2:
         return None
@@ -158,13 +158,7 @@ Renderer = Callable[
 def render_pass(
     scene: mi.Scene, integrator: mi.Integrator, seed: int, samples: int
 ) -> NDArray[np.float32]:
-    """Image [H, W, C] of one pass of the scene's first sensor; channels as `Rendering.channels`.
-
-    Args:
-        scene, integrator: what is rendered, and how.
-        seed: of the pass, 32 bits.
-        samples: samples per pixel.
-    """
+    """Image [H, W, C] of one pass of the scene's first sensor; channels as `Rendering.channels`."""
     sensor = scene.sensors()[0]
     return np.array(mi.render(scene, sensor=sensor, integrator=integrator, spp=samples, seed=seed))
 
@@ -182,14 +176,10 @@ def render_passes(
 ) -> Rendering:
     """Render the scene's first sensor until a budget is spent.
 
-    Equal seeds and numbers of samples give images that agree within rounding. Of a budget that is
-    not a number of samples, the number depends on how fast the machine is.
+    Equal seeds and numbers of samples give images that agree within rounding. With a budget
+    that is not a number of samples, the number depends on how fast the machine is.
 
     Args:
-        scene, integrator: what is rendered, and how.
-        budget: when it ends.
-        seed: root seed.
-        name: for the display of progress.
         so_far: called with the image so far after the first pass and then every two seconds or
             more, so that it takes no more than a tenth of the time.
         renderer: what renders the passes. Default: `render_pass`, one after another.
@@ -203,7 +193,11 @@ def render_passes(
         spent = _share(budget, sums, _noise(sums))
         plan.continue_after(sums.samples, sums.seconds, is_over=spent >= 1)
     next_time = 0.0
-    images = _rendered_here(scene, integrator, plan) if renderer is None else renderer(plan)
+    if renderer is None:
+        here = (render_pass(scene, integrator, *each) for each in plan)
+        images = contextlib.nullcontext(here)
+    else:
+        images = renderer(plan)
     with progress(name, 1.0) as advance, images as rendered, _kept(saved, lambda: sums):
         advance(spent)
         for image in rendered:
@@ -249,21 +243,8 @@ def _kept(saved: SavedPasses | None, sums: Callable[[], PassSums | None]) -> Ite
             saved.save(found)
 
 
-@contextlib.contextmanager
-def _rendered_here(
-    scene: mi.Scene, integrator: mi.Integrator, passes: Iterable[tuple[int, int]]
-) -> Iterator[Iterator[NDArray[np.float32]]]:
-    """The `Renderer` of this process."""
-    yield (render_pass(scene, integrator, *each) for each in passes)
-
-
 class _Plan:
     """The passes of a budget: (seed, samples per pixel) of each in turn.
-
-    Args:
-        budget: of which the number of samples and the time limit the passes.
-        pixels: number of pixels.
-        seed: root seed.
 
     Attributes:
         batch: samples per pixel of each pass but the last.

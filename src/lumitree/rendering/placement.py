@@ -73,7 +73,7 @@ class Placement:
 
     @property
     def name(self) -> str:
-        """What `source` is called in messages."""
+        """Name of `source` in messages."""
         if isinstance(self.source, Asset):
             return shown(self.source.luminaire)
         return shown(getattr(self.source, "name", self.source), 200)

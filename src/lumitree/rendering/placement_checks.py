@@ -27,7 +27,6 @@ def holds_objects(shapes: Sequence[mi.Shape], boxes: NDArray[np.float64]) -> NDA
     Meshes, rectangles and spheres are tested exactly; of other shapes, the axis-aligned box.
 
     Args:
-        shapes: of a scene.
         boxes: [N, 4, 4] transforms of [-1, 1]³ into the scene.
     """
     holds = np.zeros(len(boxes), bool)
@@ -113,7 +112,6 @@ def warn_of_overlaps(
 
     Args:
         boxes: [N, 4, 4] as for `holds_objects`.
-        names: of the lamps, for the message.
         kinds: what is placed; equal for instances of one lamp.
         fields: which are shown by a radiance field. Others may overlap each other.
     """

@@ -52,7 +52,7 @@ class RenderResult(SavedImage):
         pixels: float32 [height, width, 3], linear radiance, W/(m² sr).
         settings: what made the image, as JSON text; the comment of the files.
         exposure: factor on the radiance before the view transform of `png`. By default the
-            log-average luminance of the image is then 0.15 of that of white.
+            log-average luminance of the image is then 0.15 of white's.
         resolution: width and height in pixels.
         samples_per_pixel: samples per pixel.
         mean_radiance: mean over pixels and channels, W/(m² sr).
@@ -288,7 +288,7 @@ def _check(
 def _parts(
     recorded: "Recorded | None", noisy: NDArray[np.float32], names: Sequence[str]
 ) -> dict[str, Any]:
-    """What a `RenderResult` has beside the image; with names, the layers too."""
+    """Parts of a `RenderResult` beside the image; with names, the layers too."""
     if recorded is None:
         return {}
     light = recorded.seen + recorded.lit

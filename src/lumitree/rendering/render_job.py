@@ -29,7 +29,7 @@ _CONTINUE = "the same call continues, or begins again without `work`"
 
 @dataclasses.dataclass(frozen=True)
 class Described:
-    """What is rendered; the first three as for `render`.
+    """A render; the first three as for `render`.
 
     Attributes:
         metres: in a unit of length of the scene.
@@ -46,11 +46,7 @@ class Described:
     by_lamp: bool | None
 
     def packed(self) -> bytes:
-        """It for `_received`, with absolute paths.
-
-        Raises:
-            LumitreeError: it cannot be pickled, as a `mitsuba.Scene`.
-        """
+        """It for `_received`, with absolute paths; refused if it cannot be pickled."""
         scene = absolute_source(self.scene)
         placements = [
             dataclasses.replace(each, source=absolute_source(each.source))
@@ -89,7 +85,7 @@ class RenderJob:
         self._whole = place_luminaires(loaded, placed, appearance=appearance)
         self.camera = camera_view(loaded.sensors()[0])
         film = loaded.sensors()[0].film()
-        # Channels before those of the integrator: R, G and B, and perhaps alpha.
+        # Channels before the integrator's: R, G and B, and perhaps alpha.
         self._of_film = 4 if mi.has_flag(film.flags(), mi.FilmFlags.Alpha) else 3
         if not self._whole.emitters():
             warnings.warn(
@@ -135,7 +131,7 @@ class RenderJob:
         return rendering, self._layers.divide(rendering.channels[..., self._of_film :])
 
     def identity(self, seed: int) -> dict[str, Any]:
-        """What makes the image, as `image_identity`."""
+        """Inputs of the image, as `image_identity`."""
         import mitsuba as mi
 
         from lumitree.rendering.saved_passes import image_identity

@@ -60,12 +60,7 @@ class PassSums:
 
 
 class SavedPasses:
-    """The file in which the passes of one image are kept.
-
-    Args:
-        folder: of the file.
-        identity: of the image, from `image_identity`.
-    """
+    """The file in which the passes of one image are kept."""
 
     def __init__(self, folder: Path, identity: dict[str, Any]) -> None:
         self._path, self._identity = folder / _STATE, identity
@@ -73,11 +68,9 @@ class SavedPasses:
         self._next, self._warned = 0.0, False
 
     def load(self, batch: int, limit: int) -> PassSums | None:
-        """The sums so far; None if there are none. Warns if they are of another image, or damaged.
+        """The sums so far; None if there are none.
 
-        Args:
-            batch: samples per pixel of each pass but the last.
-            limit: largest number of samples per pixel.
+        Warns if they are of another image, or damaged.
         """
         self._record = json.dumps({**self._identity, "batch": batch}, sort_keys=True)
         self._next = time.perf_counter() + _SECONDS_BETWEEN_STATES
@@ -138,12 +131,7 @@ def forget_passes(folder: FilePath) -> None:
 def image_identity(
     scene: Any, placed: "Sequence[PlacedLuminaire]", settings: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """What makes an image, as members of a JSON object; equal for images that are continued.
-
-    Args:
-        scene: path of a Mitsuba scene.
-        placed: the luminaires in it.
-        settings: further ones.
+    """Inputs of an image, as members of a JSON object; equal for images that are continued.
 
     Raises:
         LumitreeError: the scene or a luminaire is no file, and so cannot be compared later.
@@ -184,11 +172,7 @@ def _lamp_identity(placed: "PlacedLuminaire") -> dict[str, Any]:
 
 
 def _checked(arrays: Mapping[str, NDArray[Any]], batch: int, limit: int) -> PassSums:
-    """The sums of arrays.
-
-    Raises:
-        LumitreeError: one is missing, or has a wrong type, shape or range.
-    """
+    """The sums of arrays; refused if one is missing, or has a wrong type, shape or range."""
     kinds: dict[str, tuple[type[np.generic], int]] = {
         "radiance": (np.float32, 3),
         "grey": (np.float64, 2),
@@ -207,7 +191,7 @@ def _checked(arrays: Mapping[str, NDArray[Any]], batch: int, limit: int) -> Pass
     expect("state", bool(np.isfinite(arrays["seconds"])), "seconds is not finite")
     samples, passes, seconds = (arrays[each].item() for each in ("samples", "passes", "seconds"))
     expect("state", 0 < passes <= samples <= MAX_SAMPLES and seconds >= 0, "it has no passes")
-    # Else the passes to come would have other seeds than those of an image that was never stopped.
+    # Else the passes to come would have other seeds than in an image that was never stopped.
     whole = samples % batch == 0 or samples == limit
     expect("state", whole, "its last pass has fewer samples than are asked for")
     expect("state", samples <= limit, f"it has {samples} samples per pixel, more than asked for")

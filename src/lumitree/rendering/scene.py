@@ -73,7 +73,7 @@ class PlacedLuminaire:
         self.gain = self._gain(scale, metres)
 
     def _gain(self, scale: float, metres: float) -> tuple[float, float, float]:
-        """The gain of a lamp whose lengths in the scene are `scale` times those of its file."""
+        """The gain of a lamp whose lengths in the scene are `scale` times its file's."""
         placement, gain = self.placement, np.array(check_gain(self.placement.gain))
         if self.field is not None and (placement.lumens, placement.temperature) != (None, None):
             asset = self.field.asset
@@ -85,13 +85,13 @@ class PlacedLuminaire:
 
     @property
     def title(self) -> str:
-        """What it is called in messages: its label, if it has one."""
+        """Its name in messages: its label, if it has one."""
         label = self.placement.label
         return self.placement.name if label is None else shown(label, 200)
 
     @property
     def kind(self) -> object:
-        """What is placed; equal for instances of one lamp."""
+        """The lamp that is placed; equal for instances of one lamp."""
         return self.placement.name if self.field is None else self.field.asset
 
     def is_shown_by_field(self, appearance: Appearance) -> bool:
@@ -303,7 +303,7 @@ def _open(
 
 
 def scene_title(source: Any) -> str:
-    """What a scene, as for `load_scene`, is called in messages."""
+    """Name of a scene, as for `load_scene`, in messages."""
     if isinstance(source, Mapping | mi.Scene):
         return "the scene"
     return str(source)
@@ -339,14 +339,14 @@ def _create(
 
 
 def appearance_for(integrator: mi.Integrator) -> Appearance:
-    """What an integrator can show of lamps whose assets have geometry."""
+    """Appearance that an integrator can show of lamps whose assets have geometry."""
     return "geometry" if getattr(integrator, "shows_geometry", False) else "field"
 
 
 def set_film_width(scene: mi.Scene, width: int) -> None:
     """Change the image of the scene's first sensor to `width` pixels, keeping its proportions.
 
-    What a crop window shows stays, to a pixel.
+    A crop window shows the same part, to a pixel.
     """
     film = scene.sensors()[0].film()
     if width < 1:

@@ -35,7 +35,7 @@ _DIRECTIONS = tuple(
     for each in ((1, 0.7, 1), (-1, 0.7, 1), (1, 0.7, -1), (-1, 0.7, -1))
 )
 _DISTANCE, _HALF_WIDTH, _HALF_HEIGHT = 5.05, 1.0, 1.58
-# Direction from the lamp to the camera of a portrait, and width of the image over that of the lamp.
+# Direction from the lamp to the camera of a portrait, and width of the image over the lamp's.
 _PORTRAIT, _MARGIN = (0.4, 0.25, 0.882), 1.06
 _SAME = np.eye(4)
 
@@ -158,7 +158,6 @@ class _Studio:
         exposure: float | None,
         name: str,
     ) -> list[NDArray[np.uint8]]:
-        """As `asset_photographs`."""
         name = f"preview {name}"
         if exposure is None:
             # The same scene, whose kernel is compiled once.

@@ -40,7 +40,7 @@ def vertex_radiance(
     Args:
         asset: has geometry.
         vertices: [V, 3] of surfaces of the geometry, local frame.
-        faces: [F, 3] triangles, whose fronts are those of the geometry.
+        faces: [F, 3] triangles, with the same fronts as the geometry.
         samples_per_face: paths for each face.
         name: for the display of progress.
         lights: other members of the scene, for `mi.load_dict`, local frame. Default: none.

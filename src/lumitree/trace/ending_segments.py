@@ -113,7 +113,7 @@ class Reservoir:
     def segments(self, scale: Any) -> EndingSegments:
         """One segment of each path that has any; their flux is multiplied by `scale`.
 
-        What a limit of the flux has cut off is given to all of them.
+        Flux cut off by a limit is given to all of them.
         """
         scale = scale * restoring_factor(self.whole, self.total)
         kept = dr.select(self.luminance > 0, self.flux * (self.total / self.luminance) * scale, 0)
@@ -150,13 +150,7 @@ def restoring_factor(whole: Any, limited: Any) -> Any:
 
 
 def make_reservoir(config: EndingConfig, frame: LocalFrame, count: int) -> Reservoir:
-    """An empty reservoir.
-
-    Args:
-        config: which segments count.
-        frame: local frame of the luminaire, with the frame of the scene as the world.
-        count: number of paths.
-    """
+    """An empty reservoir of `count` paths; the world of `frame` is the frame of the scene."""
     to_local, side = mi.Transform4f(frame.local_from_world), mi.Float(1 << config.depth)
     dr.make_opaque(to_local, side)
     return Reservoir(
@@ -175,10 +169,5 @@ def make_reservoir(config: EndingConfig, frame: LocalFrame, count: int) -> Reser
 
 
 def grid_cell(position: Any, side: Any) -> Any:
-    """Cell (mi.Point3i) of a position in a grid over the cube [-1, 1]³; the nearest, if outside.
-
-    Args:
-        position: mi.Point3f, local frame.
-        side: cells a side.
-    """
+    """Cell (mi.Point3i) of a local position in a grid over [-1, 1]³; the nearest, if outside."""
     return dr.clip(mi.Point3i(dr.floor((position + 1) * (side / 2))), 0, mi.Int32(side) - 1)

@@ -26,7 +26,7 @@ from lumitree.trace.tracing import PATH_DEPTH, check_finite, path_integrator
 BATCH = 1 << 20
 # Russian roulette that never begins.
 _NO_ROULETTE = {"rr_depth": 1 << 20}
-# Number of events after which that of camera paths begins.
+# Number of events after which Russian roulette of camera paths begins.
 _ROULETTE_DEPTH = 8
 
 
@@ -134,7 +134,7 @@ def missed_by_depth(
     reference_depth: int = 256,
     seed: int = 0,
 ) -> list[MissedFlux]:
-    """What the luminaire's longer paths carry: the light that is lost by cutting paths short.
+    """Flux of the luminaire's longer paths: the light that is lost by cutting paths short.
 
     The same random numbers draw the short and the long paths, which agree up to the cut, so that
     the difference has little noise.

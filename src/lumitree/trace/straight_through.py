@@ -1,4 +1,4 @@
-"""What is found by following transmissions alone: straight-through opacity, emitters seen."""
+"""Results of following transmissions alone: straight-through opacity, emitters seen."""
 
 from typing import Any
 

@@ -141,10 +141,6 @@ def chosen_shapes(
 ) -> list[Any]:
     """The mi.Shape objects of a scene that a surface names.
 
-    Args:
-        shapes: of the scene, as its file names them.
-        title: of the scene, for messages.
-
     Raises:
         LumitreeError: there are none, or points cannot be spread over one, as over an instance.
     """

@@ -8,7 +8,7 @@ Symbols
     w   the same sample if nothing shadowed it, for baked luminaires whose light is summed; else 0
     S   mean of w, by summation
     c   coefficient of the control variate w
-    y   t + c (S - w), whose mean is that of t. Where nothing is shadowed, c = 1 and all samples are
+    y   t + c (S - w), with the same mean as t. Where nothing is shadowed, c = 1 and all samples are
         S; where everything is, c = 0 and all are 0
     r   sample of the light of surfaces and media
 
@@ -105,16 +105,16 @@ class _Moments:
 
     @property
     def variance(self) -> _Array:
-        """Of the mean."""
+        """Variance of the mean."""
         spread = np.maximum(self.squares - self.sum * self.mean, 0)
         return spread / np.maximum(self.number - 1, 1) / self.number
 
     @property
     def doubt(self) -> _Array:
-        """What to add to the variance for receivers with few samples that are not 0.
+        """Added to the variance for receivers with few samples that are not 0.
 
-        Where light comes by rare paths, as through glass, their own may be 0 by chance. With it
-        they have that of all receivers.
+        Where light comes by rare paths, as through glass, their own variance may be 0 by chance.
+        With it they have the variance of all receivers.
         """
         own = self.variance
         of_all = (own * self.number).mean() / self.number
@@ -133,7 +133,7 @@ class _Shadows:
         self._lit[index] += np.count_nonzero((w > 0) & (t > 0), axis=1)
 
     def doubt(self, summed: _Array) -> _Array:
-        """What to add to the variance where shadows, or the light between them, are rare.
+        """Added to the variance where shadows, or the light between them, are rare.
 
         Of n samples, which have about equal parts of S, as many and one more are taken to be of the
         rarer kind.

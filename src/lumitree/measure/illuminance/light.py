@@ -75,15 +75,10 @@ def emitter_light(
     sampler: mi.Sampler,
     bsdf_pdf: float = 0,
 ) -> EmitterLight:
-    """Irradiance by emitter sampling.
+    """Irradiance by emitter sampling, of receivers in `medium`, see `medium_at`.
 
-    Args:
-        scene: must have an emitter.
-        si: receivers.
-        medium: that they are in, from `medium_at`.
-        sampler: of as many samples.
-        bsdf_pdf: density per steradian and cosine with which directions are also sampled otherwise,
-            for the weight of multiple importance sampling of baked luminaires.
+    `bsdf_pdf` is the density per steradian and cosine with which directions are also sampled
+    otherwise, for the weight of multiple importance sampling of baked luminaires.
     """
     active = dr.full(mi.Bool, True, dr.width(si.p))
     # By what each lamp sends there: of many, that which is shadowed may give most of the light.

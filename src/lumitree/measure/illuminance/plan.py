@@ -26,7 +26,7 @@ _NOTE = (
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Plan:
-    """What is drawn of an area.
+    """The drawn parts of an area.
 
     Attributes:
         area: its figures.
@@ -49,12 +49,7 @@ class Plan:
 
 
 def plan_png(plans: Sequence[Plan], direct_only: bool) -> bytes:
-    """The plans of areas, one below the other, as a PNG file.
-
-    Args:
-        plans: what is drawn.
-        direct_only: whether the illuminance is the direct part alone.
-    """
+    """The plans of areas, one below the other, as a PNG file."""
     heights = [plan.height for plan in plans]
     figure = Sheet(figsize=(_WIDTH, sum(heights)), dpi=_DPI, layout="constrained")
     axes = figure.subplots(len(plans), 1, squeeze=False, height_ratios=heights)[:, 0]

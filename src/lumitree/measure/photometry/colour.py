@@ -65,7 +65,6 @@ def colour_figures(
     """The colour of a luminaire's emitters by their spectrum.
 
     Args:
-        spectrum: of its emitters.
         watts: [3] radiant flux of R, G and B that leaves it; only the ratios matter.
 
     Returns:

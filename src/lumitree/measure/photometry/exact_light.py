@@ -32,7 +32,7 @@ _MAX_ERROR, _EDGE_LIGHT = 0.0025, 0.002
 
 @dataclasses.dataclass(frozen=True)
 class ExactLight:
-    """What is known of the light of an asset without rays; local units.
+    """Light of an asset as far as it is known without rays; local units.
 
     Attributes:
         intensity: function of local unit directions [N, 3]: luminous intensity [N].
@@ -66,8 +66,6 @@ def file_light(
     The bins of the asset change intensities, so a file is converted without them.
 
     Args:
-        distribution: of the file.
-        frame: of the asset.
         colour: linear RGB of its light, of any luminance.
     """
     scale = frame.scale**2
@@ -90,8 +88,6 @@ def exact_grid(
     or less, and linear between them.
 
     Args:
-        light: the light.
-        frame: the local frame.
         step: of the grid, degrees. None to choose it: of a file the coarsest of 10, 5, 2.5, 1 and
             0.5 that has all of its angles; of light in bins the coarsest of these that is at most
             half a bin, below which there are only the kinks between bins; else 1, or 0.5 if that

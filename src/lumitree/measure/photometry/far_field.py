@@ -55,12 +55,10 @@ _OPENING_RAYS, _MIN_RAYS, _MIN_SIZE = 1 << 14, 1 << 8, 1e-3
 
 @dataclasses.dataclass(frozen=True)
 class Source:
-    """What is measured.
+    """The luminaire that is measured.
 
     Attributes:
-        name: of the luminaire.
         frame: its local frame; the world has y up, and lengths in metres.
-        rays: that leave it.
         bare_flux: function of a number of samples and a seed: flux [3] of the bare emitters of the
             rays of that draw, local units; None if it is not known.
         spectrum: of the bare emitters; None if it is not known.
@@ -109,7 +107,6 @@ def asset_source(asset: Asset, file: IntensityDistribution | None = None) -> Sou
     """Rays sampled from the emission of an asset: of its light field if it has one.
 
     Args:
-        asset: the asset.
         file: the photometric file that it was made of, whose own intensities are then taken.
     """
     if file is None:
@@ -250,9 +247,7 @@ class _Tally:
     """Sums over the rays of each batch; members as of `Measurement`.
 
     Args:
-        source: what is measured.
         first: rays of the first piece, by which the step is chosen and the opening is found.
-        pieces: number of pieces.
         step: of the grid; None to choose it.
     """
 
@@ -291,13 +286,7 @@ class _Tally:
 
 
 def chosen_step(direction: NDArray[np.float64], lumens: NDArray[np.float64], pieces: int) -> float:
-    """Finest of `STEPS` whose noise is at most `MAX_NOISE`.
-
-    Args:
-        direction: [N, 3] directions of the rays of one piece.
-        lumens: [N] luminous flux of each.
-        pieces: number of pieces such as this in the measurement.
-    """
+    """Finest of `STEPS` with noise of at most `MAX_NOISE` in `pieces` such as these rays."""
     for step in STEPS:
         grid = Grid(step)
         variance = grid.variance(direction, lumens)

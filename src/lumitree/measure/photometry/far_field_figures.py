@@ -25,7 +25,7 @@ from lumitree.measure.photometry.figures import (
 from lumitree.measure.photometry.ugr import ugr_table
 
 Mask = NDArray[np.bool_]
-# Standard errors by which the largest intensity must exceed that of other nodes.
+# Standard errors by which the largest intensity must exceed other nodes'.
 _CERTAIN = 2
 
 

@@ -134,12 +134,9 @@ def width_at(intensity: NDArray[np.float64], step: float, part: float) -> float:
 
 
 def plane_curve(grid: Grid, intensity: NDArray[np.float64], c: float) -> NDArray[np.float64]:
-    """Intensity around a vertical plane from straight down: up on the side of C, and back.
+    """Intensity around a vertical plane from straight down: up on the side of `c`, and back.
 
-    Args:
-        grid: of the intensities.
-        intensity: [C, G].
-        c: of the first half-plane, degrees, a multiple of the step.
+    `c` is a multiple of the step, in degrees; the intensity is [C, G].
     """
     planes = len(grid.c)
     first = round(c / grid.step) % planes

@@ -76,7 +76,6 @@ class NearFieldTest:
     Args:
         size: D, m.
         brightest: C and γ of the largest intensity, degrees.
-        batches: number of batches.
     """
 
     def __init__(self, size: float, brightest: tuple[float, float], batches: int) -> None:
@@ -96,7 +95,6 @@ class NearFieldTest:
         """Add rays to a batch.
 
         Args:
-            batch: its index.
             origin: [N, 3] where the rays start, relative to the centre of the opening, m.
             direction: [N, 3] unit directions of travel.
             lumens: [N] luminous flux of each.

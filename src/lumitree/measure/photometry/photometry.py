@@ -183,7 +183,9 @@ def photometry(
     return PhotometryResult(
         luminaire=measurement.name,
         details=dict(data.distribution.details),
-        **_figures(data.figures),
+        **{
+            each.name: getattr(data.figures, each.name) for each in dataclasses.fields(data.figures)
+        },
         near_field=data.near_field,
         ugr=data.ugr,
         step=data.step,
@@ -236,10 +238,6 @@ def _warn_fine(file: IntensityDistribution, step: float) -> None:
             LumitreeWarning,
             stacklevel=4,
         )
-
-
-def _figures(figures: PhotometricFigures) -> dict[str, Any]:
-    return {field.name: getattr(figures, field.name) for field in dataclasses.fields(figures)}
 
 
 def _suffix(path: FilePath) -> str:

@@ -36,9 +36,6 @@ def ugr_table(distribution: IntensityDistribution) -> NDArray[np.float64] | None
     Luminaires are a quarter of the mounting height of 2 m apart. Only intensities from C0 to C90
     are used, as if the luminaire were symmetrical. Its luminous area is its opening's.
 
-    Args:
-        distribution: intensities and luminous opening.
-
     Returns:
         [19, 10] ratings by `ROOMS`, and by `REFLECTANCES` for lamps seen crosswise (their C0 plane
         is along the line of sight) and then endwise. NaN where no light comes from below 85

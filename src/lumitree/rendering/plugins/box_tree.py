@@ -13,13 +13,10 @@ _SLACK = 1e-5
 
 
 def box_tree(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Nodes [2 N - 1, `NODE_NUMBERS`] of a binary tree over N boxes, in depth-first order.
+    """Nodes [2 N - 1, `NODE_NUMBERS`] of a binary tree over N ≥ 1 boxes, in depth-first order.
 
     A node is followed by its first child, so a ray that meets it continues with the next row, and
     one that misses it with the row that follows its subtree.
-
-    Args:
-        low, high: [N, 3] corners of the boxes, N at least 1.
     """
     rows: list[NDArray[np.float64]] = []
 

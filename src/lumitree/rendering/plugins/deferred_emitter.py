@@ -1,4 +1,4 @@
-"""What an integrator may ask of an emitter whose radiance is costly."""
+"""Protocol of an emitter whose radiance is costly."""
 
 from __future__ import annotations
 
@@ -62,17 +62,14 @@ class DeferredEmitter(ABC):
     @abstractmethod
     def light(self) -> Any:
         """The `LampLight` of its methods that cost."""
-        ...
 
     @abstractmethod
     def light_inside(self) -> None:
         """Light what is in the box from now on, if it can (`placed.holds`)."""
-        ...
 
     @abstractmethod
     def axis_intensities(self) -> NDArray[np.float64]:
         """Luminous intensity [6] towards x, y and z of the scene and against them, smoothed."""
-        ...
 
     @abstractmethod
     def sampled_alone_radius(self) -> float:
@@ -80,12 +77,10 @@ class DeferredEmitter(ABC):
 
         Rays for which `left_out` is true get neither light from the lamp nor are they attenuated.
         """
-        ...
 
     @abstractmethod
     def is_summed(self, point: mi.Point3f, active: mi.Bool) -> mi.Bool:
         """Whether `irradiance` knows what receivers at points of the scene get."""
-        ...
 
     @abstractmethod
     def irradiance(
@@ -93,25 +88,14 @@ class DeferredEmitter(ABC):
     ) -> mi.Color3f:
         """Irradiance of receivers that nothing but the lamp shadows, without sampling directions.
 
-        Args:
-            point, n: places and unit normals in the scene.
-            random: as many random numbers as there are receivers.
-            active: mask; only receivers of `is_summed`.
+        Points and unit normals are in the scene. Only receivers of `is_summed` may be active.
         """
-        ...
 
     @abstractmethod
     def sample_target(
         self, it: mi.Interaction3f, sample: mi.Point2f, active: mi.Bool
     ) -> EmitterSample:
-        """First half of `sample_direction`: a direction towards the proxy.
-
-        Args:
-            it: the reference point.
-            sample: point in the unit square.
-            active: mask.
-        """
-        ...
+        """First half of `sample_direction`: a direction towards the proxy."""
 
     @abstractmethod
     def eval_target(
@@ -125,17 +109,13 @@ class DeferredEmitter(ABC):
         """Second half of `sample_direction`: what a sampled direction is worth.
 
         Args:
-            it: as for `sample_target`.
-            sampled: what `sample_target` returned.
             bsdf_pdf: density per steradian with which the BSDF samples the direction.
             emitter_pmf: probability with which this emitter was chosen.
-            active: mask.
 
         Returns:
             Radiance over density; and density per steradian, 0 where the sampled point turns out to
             be hidden within the luminaire.
         """
-        ...
 
     @abstractmethod
     def eval_entered(
@@ -152,7 +132,6 @@ class DeferredEmitter(ABC):
         """`eval`, `eval_null_transmission` and `pdf_direction` in one traversal.
 
         Args:
-            ray: the ray that enters the proxy.
             distance: from its origin to the proxy.
             it: the vertex that the ray comes from.
             specular_chain: whether all vertices between the camera and the ray are specular, so
@@ -162,35 +141,24 @@ class DeferredEmitter(ABC):
                 could not have found the ray.
             ends: distances from the ray's origin of the first surface that belongs to the emitter's
                 lamp, and of the first other one.
-            active: mask.
 
         Returns:
             Radiance; transmittance; and density with which `sample_direction` gives this direction
             from `it`, 0 if the radiance includes the weight of multiple importance sampling.
         """
-        ...
 
     @abstractmethod
     def sample_self_emission(
         self, sample: mi.Float, active: mi.Bool
     ) -> tuple[mi.ShapePtr, mi.Float, mi.Float]:
-        """A shape of the lamp's geometry that emits.
+        """An emitting shape of the lamp's geometry, for a number in [0, 1); null where none emits.
 
-        Args:
-            sample: number in [0, 1).
-            active: mask.
-
-        Returns:
-            The shape, null where nothing emits; its probability; and a new sample in [0, 1).
+        Then its probability, and a new number in [0, 1).
         """
-        ...
 
     @abstractmethod
     def transmittance(self, ray: mi.Ray3f, distance: mi.Float, active: mi.Bool) -> mi.Float:
         """Transmittance for a shadow ray that enters the proxy.
 
-        Args:
-            ray: the ray; what is behind its end does not count.
-            distance, active: as for `eval_entered`.
+        Its part behind the end of the ray does not count.
         """
-        ...

@@ -21,9 +21,9 @@ from lumitree.rendering.sampling.divided_sampling import emitter_sampler, left_o
 def emitter_class() -> type:
     """Class of the emitter for the variant of Mitsuba that is set, whose base class it extends.
 
-    It is a `DeferredEmitter`. Radiance is that of the whole line through the proxy, on the face
-    where the line enters; on the face where it leaves it is 0. `gain` [3] (R, G, B) multiplies all
-    radiance and flux, but neither transmittance nor densities. It is a differentiable parameter of
+    It is a `DeferredEmitter`. The face where a line enters the proxy has the radiance of the whole
+    line; on the face where it leaves, radiance is 0. `gain` [3] (R, G, B) multiplies all radiance
+    and flux, but neither transmittance nor densities. It is a differentiable parameter of
     `mitsuba.traverse`.
     """
 

@@ -29,12 +29,9 @@ def hit_light(
     """Light of an emitter that a ray has hit.
 
     Args:
-        si: where.
         it: the vertex that the ray comes from.
-        ds: of both.
         specular_chain, bsdf_pdf, emitter_pmf: as for `DeferredEmitter.eval_entered`.
         shown: whether the path gets what shapes of the lamp's geometry emit.
-        active: mask.
 
     Returns:
         Radiance; transmittance of a proxy; density with which emitter sampling gives this

@@ -38,10 +38,6 @@ class EmitterSelection:
     (`LampChoice`), and half of the samples are for all other emitters, by their sampling weights.
     Else all are selected by their sampling weights, as `mi.Scene.sample_emitter` does.
 
-    Args:
-        scene: all of it.
-        choices: keeps tables.
-
     Attributes:
         by_receiver: whether probabilities depend on the receiver.
     """
@@ -77,7 +73,7 @@ class EmitterSelection:
             self._other_indices = on_device(mi.UInt32, others)
             pmf[others] = _OTHERS * weights[others] / weights.sum()
         numbers = np.array(dr.reinterpret_array(mi.UInt32, scene.emitters_dr()))
-        # By the number of an emitter among all those of the process.
+        # By the number of an emitter among all emitters of the process.
         index_of = np.full(numbers.max() + 1, NO_LAMP, np.uint32)
         pmf_of = np.zeros(numbers.max() + 1)
         index_of[numbers], pmf_of[numbers] = np.arange(len(emitters)), pmf
@@ -95,12 +91,9 @@ class EmitterSelection:
         """Select an emitter.
 
         Args:
-            si: the receivers.
             normal: towards the side that light comes from, unit length; 0 where it may come from
                 both.
             owner: index of a lamp whose light the receiver gets otherwise.
-            sampler: source of random numbers.
-            active: mask.
         """
         sample = sampler.next_2d()
         if not self.by_receiver:
@@ -127,13 +120,7 @@ class EmitterSelection:
     def pmf(
         self, emitter: mi.EmitterPtr, it: mi.Interaction3f, active: mi.Bool | bool = True
     ) -> mi.Float:
-        """`Selected.emitter_pmf` that an emitter has for a receiver.
-
-        Args:
-            emitter: of the scene.
-            it: the receiver.
-            active: mask.
-        """
+        """`Selected.emitter_pmf` that an emitter of the scene has for a receiver."""
         if not self.by_receiver:
             return self.pmf_by_weight(emitter)
         number = dr.reinterpret_array(mi.UInt32, emitter)

@@ -33,7 +33,6 @@ class Radiance:
             self.constant = parameter(mi.Color3f, *source)
 
     def __call__(self, si: mi.SurfaceInteraction3f, active: mi.Bool) -> mi.Color3f:
-        """Radiance of a point."""
         if self.constant is not None:
             return self.constant
         if mi.is_spectral:
@@ -65,7 +64,7 @@ class Materials:
         return float(value) if type(value) is int else value
 
     def radiance(self, radiance: Any) -> Radiance:
-        """What a shape emits."""
+        """Emission of a shape."""
         if not isinstance(radiance, dict):
             return Radiance(np.broadcast_to(radiance, 3).tolist())
         if not mi.is_spectral:

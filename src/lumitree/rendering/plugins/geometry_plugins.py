@@ -46,7 +46,6 @@ class GeometryEmitter(Protocol):
             si: the point, on the shape.
             it: the vertex that the ray comes from.
             ds: from `it` to the point.
-            active: mask.
 
         Returns:
             Radiance towards `si.wi`; and density per steradian with which a point of the shape that
@@ -77,14 +76,7 @@ def geometry_emitter_class() -> type:
             radiance: Radiance | None = None,
             index: int = 0,
         ) -> None:
-            """Emitter of one shape.
-
-            Args:
-                lamp: emitter `lumitree` of the proxy, which has the gain.
-                lights: what emits in the lamp.
-                radiance: what the front of the surface emits; None for nothing.
-                index: of the shape in `lights`, if it emits.
-            """
+            """Emitter of shape `index` of `lights`; `lamp` is the emitter of the proxy."""
             super().__init__(make_properties("lumitree_geometry", {"sampling_weight": 0.0}))
             self._lamp, self._lights = lamp, lights
             self._gain = parameter(mi.Color3f, *lamp.placed.asset.gain)
@@ -155,11 +147,7 @@ def geometry_glass_class() -> type:
 
     class LumitreeGeometryGlass(delta_bsdf_class()):
         def __init__(self, glass: mi.BSDF) -> None:
-            """A smooth dielectric that light may also cross straight.
-
-            Args:
-                glass: whose second component is a specular transmission.
-            """
+            """The second component of `glass` is a specular transmission."""
             super().__init__(make_properties("lumitree_glass", {}))
             self._glass = glass
             self.m_components = list(glass.m_components)

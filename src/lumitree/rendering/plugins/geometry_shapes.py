@@ -30,7 +30,6 @@ def geometry_shapes(
     """The shapes of an asset's geometry.
 
     Args:
-        geometry: what to place.
         scene_from_world: [4, 4] similarity, from the frame of the luminaire's file to the scene.
         lamp: emitter `lumitree` of the proxy, whose gain applies to the shapes too, and whose
             `self_lights` are made.

@@ -71,8 +71,8 @@ DEFAULT_RR_DEPTH = 5
 def integrator_class() -> type:
     """Class of `lumitree_path` for the variant of Mitsuba that is set.
 
-    Its properties are those of `path`: `max_depth` (-1: no limit), `rr_depth` and
-    `hide_emitters`, which hides baked luminaires from the camera as other area lights.
+    It has the properties of `path`: `max_depth` (-1: no limit), `rr_depth` and `hide_emitters`,
+    which hides baked luminaires from the camera as other area lights.
     """
 
     class LumitreePath(mi.SamplingIntegrator):

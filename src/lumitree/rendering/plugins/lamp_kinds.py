@@ -24,12 +24,7 @@ _JOINED = 16
 
 
 class LampKinds:
-    """The emitters of a scene by kind.
-
-    Args:
-        emitters: `mi.Scene.emitters()`.
-        pointers: `mi.Scene.emitters_dr()`.
-    """
+    """The emitters of a scene by kind; `emitters` and `pointers` are its two lists of them."""
 
     def __init__(self, emitters: list[mi.Emitter], pointers: mi.EmitterPtr) -> None:
         lamps = {i: each for i, each in enumerate(emitters) if isinstance(each, DeferredEmitter)}
@@ -37,7 +32,7 @@ class LampKinds:
         kinds: dict[Hashable, int] = {}
         self._lights: list[LampLight] = []
         numbers = np.array(dr.reinterpret_array(mi.UInt32, pointers))
-        # By the number of an emitter among all those of the process.
+        # By the number of an emitter among all emitters of the process.
         kind_of = np.full(numbers.max(initial=0) + 1, len(lamps), np.uint32)
         rows = np.zeros((len(kind_of), 4 * _PACKETS))
         slot_of = np.zeros(len(kind_of), np.uint32)
@@ -62,8 +57,6 @@ class LampKinds:
         Args:
             function: of `emitter_calls`; its emitter may also be a `LampLight`, and None for lanes
                 whose result is of no use.
-            emitter: one for each lane.
-            args: further arguments of the function; a mask is the last one.
         """
         if not self._apart:
             return dr.dispatch(emitter, function, *args)

@@ -1,4 +1,4 @@
-"""What a baked luminaire sends out, where it stands: the calls of `DeferredEmitter` that cost."""
+"""Emission of a baked luminaire, where it stands: the calls of `DeferredEmitter` that cost."""
 
 from __future__ import annotations
 
@@ -16,12 +16,7 @@ from lumitree.rendering.sampling.emitter_sampling import DirectionSampler, RayEn
 class LampLight:
     """Light of a baked luminaire, or of many that differ only by where they stand and by `gain`.
 
-    Its methods are those of `DeferredEmitter`.
-
-    Args:
-        placed: where it stands.
-        sampler, light_colour: of its asset.
-        gain: factors on R, G and B.
+    Its methods are the methods of `DeferredEmitter`.
     """
 
     def __init__(

@@ -45,7 +45,7 @@ _COLOURS: weakref.WeakKeyDictionary[Asset, dict[str, LightColour]] = weakref.Wea
 
 
 def light_colour(asset: Asset) -> LightColour:
-    """What turns the light of an asset into what the variant renders; its instances share it."""
+    """Conversion of an asset's light to the colours of the variant; its instances share it."""
     colours, variant = _COLOURS.setdefault(asset, {}), str(mi.variant())
     if variant not in colours:
         # Mitsuba creates plugins in parallel: of two, the first is kept.
@@ -58,21 +58,12 @@ class LightColour:
     """Light of an asset as RGB variants render it: as it is."""
 
     def __call__(self, rgb: mi.Color3f, wavelengths: mi.Spectrum) -> mi.Spectrum:
-        """Light as a mi.Spectrum.
-
-        Args:
-            rgb: light of the asset.
-            wavelengths: of the path, nm; none in RGB variants.
-        """
+        """Light as a mi.Spectrum at wavelengths in nm; there are none in RGB variants."""
         return rgb
 
 
 class SpectralColour(LightColour):
-    """Light of an asset as spectra.
-
-    Args:
-        table: [471, 3] as of `light_table`.
-    """
+    """Light of an asset as spectra, by a table [471, 3] of `light_table`."""
 
     def __init__(self, table: NDArray[np.float64]) -> None:
         self._table = on_device(mi.Float, table)
@@ -113,7 +104,7 @@ def d65() -> NDArray[np.float64]:
 def smooth_basis() -> NDArray[np.float64]:
     """The functions B [471, 3], which turn D65 into the primaries of sRGB.
 
-    Of all such functions they have the least slope (Mallett and Yuksel 2019, Spectral Primary
+    They have the least slope of all such functions (Mallett and Yuksel 2019, Spectral Primary
     Decomposition for Rendering with sRGB Reflectance).
     """
     # Not at the top: RGB variants do without it.

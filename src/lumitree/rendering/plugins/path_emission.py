@@ -112,8 +112,7 @@ def add_self_emission(
 ) -> mi.Bool:
     """Add light that a lamp sends to its own surfaces and media, where the path shows them.
 
-    Returns:
-        Where it was sampled.
+    Returns where it was sampled.
     """
     if dr.hint(not scene.shows_geometry, mode="scalar"):
         return mi.Bool(False)

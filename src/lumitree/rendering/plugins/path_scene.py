@@ -1,4 +1,4 @@
-"""What all paths of an image share."""
+"""State that all paths of an image share."""
 
 from __future__ import annotations
 

@@ -85,7 +85,7 @@ class PathState:
     ) -> PathState:
         """Paths of the light that surfaces and media send to receivers.
 
-        What emitters send there straight is left to emitter sampling.
+        Light that emitters send there straight is left to emitter sampling.
 
         Args:
             receiver: where they begin, as on a rough surface.
@@ -169,7 +169,7 @@ class EmitterChoice:
 
 @dataclass
 class Scattering:
-    """What the BSDF or the phase function of a vertex says."""
+    """Results of the BSDF or the phase function of a vertex."""
 
     # fmt: off
     value_em: mi.Spectrum     # BSDF times cosine, or phase function, of the emitter's direction

@@ -36,11 +36,7 @@ _OPTIONS = ("gain", "sampling", "appearance", "to_world")
 
 
 def plugin_options(props: mi.Properties) -> dict[str, Any]:
-    """Arguments of `describe_proxy` from plugin properties.
-
-    Raises:
-        LumitreeError: there is no file name.
-    """
+    """Arguments of `describe_proxy` from plugin properties, which need a file name."""
     options = {name: props[name] for name in _OPTIONS if name in props}
     if "to_world" in options:
         options["to_world"] = np.array(options["to_world"].matrix)
@@ -66,7 +62,7 @@ def shows_geometry(asset: FieldData, appearance: Appearance) -> bool:
 
 
 class Placed:
-    """What the emitter and the BSDF share: a field, its proxy and where they stand."""
+    """Members that the emitter and the BSDF share: a field, its proxy and where they stand."""
 
     def __init__(self, props: mi.Properties) -> None:
         options = plugin_options(props)
@@ -117,11 +113,7 @@ class Placed:
         return GEOMETRY_MARGIN if self.shows_geometry else 0.0
 
     def unit_proxy(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """The transform that makes the proxy the cube of [-1, 1]³.
-
-        Returns:
-            [3, 3] and [3], M and c, which take a point p of the scene to M (p - c).
-        """
+        """M [3, 3] and c [3]; M (p - c) of a point p of the scene is in [-1, 1]³ in the proxy."""
         side = self._scale * (self.asset.frame.half_extents + self._margin)
         return self._axes.T / side[:, None], self._origin
 
@@ -138,9 +130,9 @@ class Placed:
     def receiver(self, point: mi.Point3f) -> mi.Point3f:
         """A point of the local frame where it gets the light that leaves the box.
 
-        What touches the box, such as the table below a lamp, may be a little inside of it. Its
-        light is that of the nearest point outside. Points get it where they are if the box holds
-        things.
+        An object that touches the box, such as the table below a lamp, may be a little inside of
+        it. It gets the light of the nearest point outside. Points get it where they are if the box
+        holds things.
         """
         if self.holds:
             return point

@@ -35,7 +35,7 @@ NONE = ALL = 0xFFFFFFFF
 # what is in it, `sampled_alone_radius`, the number of its bit in masks of lamps, and 0; and of a
 # node of the tree.
 _PACKETS, _NODE_PACKETS = 4, NODE_NUMBERS // 4
-# Bits of a mask of lamps. Of more lamps than that some share one.
+# Bits of a mask of lamps. If there are more lamps than bits, some share one.
 _BITS = 32
 # Part of the distance by which a ray may miss a node's box.
 _SLACK = 1e-5
@@ -103,10 +103,7 @@ class Proxies:
         or else if the ray is one of `starts`.
 
         Args:
-            ray: of the scene.
             after, last: what was returned for the proxy before.
-            end: distance at which the ray ends.
-            active: mask.
             starts: mask of these rays.
             skipped: mask of the lamps whose proxies are not entered at the origin (`Owners.bit`).
             sampled: vertex that the ray comes from, and density per steradian with which its BSDF
@@ -139,9 +136,7 @@ class Proxies:
     ) -> tuple[mi.Float, mi.Float, mi.UInt32, mi.UInt32]:
         """Distances at which rays cross the box of a node, no less than they do.
 
-        Returns:
-            Both distances; the node that follows if the box is missed; and the proxy that this node
-            is, or `NONE`.
+        Then the node that follows if the box is missed, and the proxy that this node is, or `NONE`.
         """
         first, second = (
             dr.gather(mi.Vector4f, self._nodes, _NODE_PACKETS * node + i, active)
@@ -196,9 +191,9 @@ class Divided(NamedTuple):
         surfaces: the scene that rays are traced against.
         proxies: those that it leaves out.
         room: what is traced where the own surfaces of a lamp do not block: the surfaces without
-            those of lamps; None if no lamp needs it.
+            the lamps' own; None if no lamp needs it.
         overlap: whether lamps whose surfaces are traced have boxes that overlap. Then `room` has
-            the surfaces of all lamps, and those of one are passed by.
+            the surfaces of all lamps, and the surfaces of one are passed by.
         owners: whose surfaces are whose.
     """
 
@@ -214,11 +209,8 @@ class Divided(NamedTuple):
         """Where a ray ends for a lamp whose proxy it enters, as `DeferredEmitter.eval_entered`.
 
         Args:
-            ray: the ray.
             distance: where it ends for the integrator.
-            lamp: index of the emitter.
             ahead: lamp that the surface at `distance` belongs to (`Owners.of`).
-            active: mask.
         """
         mine = ahead == lamp
         other = mi.Float(dr.inf)
@@ -249,11 +241,7 @@ class Divided(NamedTuple):
 
 
 class Owners:
-    """The lamps that shapes of a scene, and media that scatter, belong to.
-
-    Args:
-        lamps: emitters by their index in the scene.
-    """
+    """The lamps, by index of their emitters, that shapes, and media that scatter, belong to."""
 
     def __init__(self, lamps: Mapping[int, DeferredEmitter]) -> None:
         # By the number of a shape.
@@ -290,11 +278,7 @@ class Owners:
 
 
 class _Numbers:
-    """Numbers by other numbers, on the device.
-
-    Args:
-        values: may be empty.
-    """
+    """Numbers by other numbers, on the device; there may be none."""
 
     def __init__(self, values: Mapping[int, int]) -> None:
         self._any = bool(values)
@@ -329,7 +313,7 @@ class DividedScene:
         self._asked: weakref.WeakSet[Placed] = weakref.WeakSet()
 
     def of(self, scene: mi.Scene) -> Divided:
-        """What rays of a scene are traced against, and the proxies that it leaves out.
+        """The surfaces that rays of a scene are traced against, and the proxies that it leaves out.
 
         The scene itself, if it has no proxies or cannot be divided: under OptiX one kernel traces
         one scene. Then there is no `room`, and what is in a box throws shadows only beyond the cell
@@ -367,11 +351,7 @@ class DividedScene:
 
 
 def _light_insides(lamps: list[DeferredEmitter], room: list[mi.Shape]) -> bool:
-    """Let lamps light what is in their boxes: shapes of the room, and those of other lamps.
-
-    Returns:
-        Whether there are shapes of another lamp in one's box.
-    """
+    """Let lamps light shapes in their boxes; whether another lamp's shapes are in one of them."""
     boxes = np.array([lamp.placed.scene_from_box for lamp in lamps]).reshape(-1, 4, 4)
     holds, overlap = holds_objects(room, boxes), False
     for pair in overlapping(boxes):
@@ -399,7 +379,7 @@ def is_instance(shape: mi.Shape) -> bool:
 
 
 def _geometry(shape: mi.Shape) -> list[Any]:
-    """The parameters of a shape itself, without those of its BSDF and its emitter."""
+    """The parameters of a shape itself, without its BSDF and its emitter."""
     parameters = mi.traverse(shape)
     values = (parameters[name] for name in parameters.properties if "." not in name)
     # Mitsuba returns references to some values, which change with the shape.

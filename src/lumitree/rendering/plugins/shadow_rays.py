@@ -25,8 +25,8 @@ def visible(
 ) -> mi.Spectrum:
     """Transmittance from a surface to a sampled point: 0 behind what is not null.
 
-    For a length `beyond` after the point, surfaces of the room block, but not those of the lamp
-    that is sampled, whose index in the scene is `target`.
+    For a length `beyond` after the point, surfaces of the room block, but not the sampled
+    lamp's, whose index in the scene is `target`.
     """
     surfaces, proxies, room, overlap, _ = scene.divided
     # Like Mitsuba's, a shadow ray ends before its goal; and by no less than it starts after its

@@ -44,7 +44,7 @@ def describe_proxy(
     gain: ArrayLike | Any = 1.0,
     appearance: Appearance | None = None,
 ) -> dict[str, Any]:
-    """What `lumitree.shape` returns, with its arguments."""
+    """Implementation of `lumitree.shape`, with its arguments."""
     check_kinds(sampling, appearance or "field")
     factors = check_gain(gain)
     matrix = np.asarray(getattr(to_world, "matrix", np.eye(4) if to_world is None else to_world))
@@ -75,7 +75,7 @@ def describe_proxy(
 def make_shapes(name: str, **options: Any) -> Any:
     """The mi.Shape of a proxy; or the shapes of the geometry and its proxy, as one that holds them.
 
-    The ids of the geometry's shapes begin with `name`, which is that of its proxy.
+    The ids of the geometry's shapes begin with `name`, the id of its proxy.
     """
     description = describe_proxy(**options)
     if description["type"] != "lumitree_proxy":

@@ -51,11 +51,7 @@ def cell_table(
     """A table with a row for each cell of receivers, a multiple of 16, and a column for each cell.
 
     Args:
-        receivers: cells of receivers.
-        cells: that emit.
-        intensity: of these cells.
         scale: the largest intensity.
-        flux: [C] of the cells.
         softening: distance that is added to that from a cell to a receiver, in square: for
             receivers among the cells. Others, at all distances, count alike with 0.
     """
@@ -101,14 +97,9 @@ class _Maker:
 
     @dr.syntax
     def _mean_square(self, points: mi.Point3f, seed: int) -> mi.Float:
-        """Mean square of the light that cells send to receivers, relative to `_scale`.
+        """Mean square of the light that cells send to each row's receivers, over `_scale`.
 
-        Args:
-            points: `_POINTS_PER_CELL` receivers for each of `_ROWS_AT_ONCE` rows.
-            seed: of the points in the cells.
-
-        Returns:
-            One for all cells in each row.
+        There are `_POINTS_PER_CELL` receivers for each of `_ROWS_AT_ONCE` rows.
         """
         index = dr.arange(mi.UInt32, _ROWS_AT_ONCE * self._count)
         row, cell = index // self._opaque_count, index % self._opaque_count

@@ -78,13 +78,8 @@ def look(
 class DividedSampler(DirectionSampler):
     """As `EmitterSampler`, for a lamp with a light field.
 
-    Directions are sampled by the light field. It is also the radiance that receivers get.
-    Images show the field, as `look` has it.
-
-    Args:
-        asset: has a light field.
-        field: of the asset.
-        uniform: proxy whose directions are sampled uniformly, instead of by emission.
+    Directions are sampled by the light field, or uniformly towards the proxy `uniform`. It is also
+    the radiance that receivers get. Images show the field, as `look` has it.
     """
 
     def __init__(self, asset: Asset, field: Field, uniform: BoxProxy | None = None) -> None:
@@ -130,7 +125,7 @@ class DividedSampler(DirectionSampler):
         specular_chain: mi.Bool | bool,
         span: Span = None,
     ) -> tuple[mi.Color3f, mi.Float]:
-        """What rays get of a radiance for receivers, and their transmittance."""
+        """Part that rays get of a radiance for receivers, and their transmittance."""
         if not self._asset.num_leaves:
             return radiance, mi.Float(1)
         seen, through = self._field.emission(entry, direction, active & specular_chain, span)

@@ -42,12 +42,9 @@ class EmittedLight:
     """Device copy of the intensities of a light field, in the lamp's local frame.
 
     Args:
-        field: what is emitted.
-        half_extents: [3] of the lamp's box.
         gain: [3] factors on R, G and B, not all 0.
 
     Attributes:
-        cells: the cells.
         scale: mi.Float, unit of intensities.
         by_cell: [C] luminous flux of cells over `scale`.
     """
@@ -83,12 +80,6 @@ class EmittedLight:
         """Irradiance of receivers outside the box that nothing shadows: Σ I cos θ / r².
 
         Each cell has its light in one random point. The mean over the points is its light.
-
-        Args:
-            x: the receivers.
-            n: their unit normals.
-            random: as many random numbers as there are receivers.
-            active: mask.
         """
         total, cell = mi.Color3f(0), dr.zeros(mi.UInt32, dr.width(x))
         while active & (cell < self._num_cells):
@@ -111,16 +102,10 @@ class EmittedLight:
         sample2: mi.Point2f,
         active: mi.Bool | bool = True,
     ) -> tuple[mi.Point3f, mi.Vector3f, mi.Color3f]:
-        """Ray along which light leaves the lamp.
+        """Ray along which light leaves the lamp: a point of it inside the box, direction, and flux.
 
-        Args:
-            choice: in [0, 1).
-            sample1, sample2: in the unit square.
-            active: mask.
-
-        Returns:
-            A point of the ray inside the lamp's box; the unit direction of travel; and the flux of
-            the ray, local units, whose mean over all samples is the lamp's flux.
+        The direction is a unit vector along which the light travels. The mean of the flux (local
+        units) over all samples is the lamp's flux.
         """
         bins = self._resolution**2
         cell = sample_row(self._cell_chances, mi.UInt32(0), self._count, choice, active)

@@ -86,17 +86,12 @@ class RayEnds(NamedTuple):
     other: mi.Float
 
     def reached(self, start: mi.Float, blocked: mi.Bool, active: mi.Bool) -> mi.Bool:
-        """Whether the ray sees a cell that it enters at a distance `start`.
-
-        Args:
-            blocked: whether the lamp's own surfaces block.
-            active: mask.
-        """
+        """Whether the ray sees a cell that it enters at a distance `start`."""
         return active & ~(blocked & (start > self.own))
 
 
 class DirectionSampler(Protocol):
-    """What an emitter needs of its sampler; all quantities are in the lamp's local frame.
+    """Interface of an emitter's sampler; all quantities are in the lamp's local frame.
 
     `EmitterSampler` documents what is not documented here.
     """
@@ -184,13 +179,9 @@ class DirectionSampler(Protocol):
         """Radiance over density of a direction of `sample_target`, and its density.
 
         Args:
-            x: the shading point.
-            direction: unit direction from it.
             entry_distance: distance at which the ray enters the proxy.
-            target: as `sample_target` returned it.
             bsdf_pdf: density per steradian with which the BSDF samples the direction.
             emitter_pmf: probability with which next-event estimation chooses the emitter.
-            active: mask.
         """
         entry = x + entry_distance * direction
         radiance, _, density = self.eval(
@@ -214,11 +205,8 @@ class DirectionSampler(Protocol):
         """Radiance, transmittance and density of a ray that has hit the proxy.
 
         Args:
-            x, entry, direction, distance, specular_chain, active: as for `eval`.
             bsdf_pdf, emitter_pmf: as for `eval_target`; a probability of 0 if next-event
                 estimation could not have found the direction.
-            inside: as for `sample_target`.
-            ends: where the ray ends in the box.
         """
         span = mi.Float(0), ends.other
         return self.eval(
@@ -227,13 +215,7 @@ class DirectionSampler(Protocol):
 
 
 class EmitterSampler(DirectionSampler):
-    """Samples directions towards a field, by its leaves and uniformly.
-
-    Args:
-        proxy: its directions are sampled uniformly if `leaves` is None.
-        field: what emits.
-        leaves: None for uniform sampling alone.
-    """
+    """Samples directions towards a field, by its leaves and uniformly; uniformly if it has none."""
 
     def __init__(self, proxy: BoxProxy, field: Field, leaves: LightLeaves | None) -> None:
         self._proxy, self._field, self._leaves = proxy, field, leaves
@@ -244,16 +226,7 @@ class EmitterSampler(DirectionSampler):
     def sample(
         self, x: mi.Point3f, sample: mi.Point2f, active: mi.Bool | bool = True
     ) -> tuple[mi.Vector3f, mi.Float]:
-        """Unit direction from `x` for a sample in the unit square, and its target's distance.
-
-        Args:
-            x: local frame.
-            sample: in the unit square.
-            active: mask.
-
-        Returns:
-            The direction; and the distance of the sampled point, for `eval`: -inf if none.
-        """
+        """Unit direction from `x`, and the distance of the sampled point; -inf if none."""
         if self._leaves is None:
             return self._proxy.sample(x, sample), mi.Float(-dr.inf)
         uniform, rest = divide_sample(sample.x, UNIFORM_FRACTION)
@@ -286,10 +259,6 @@ class EmitterSampler(DirectionSampler):
             x: the shading point, as `sample` was given it: on the border of what
                 densities depend on, a rounded one would have another density.
             entry: where the ray enters the proxy.
-            direction: unit direction from the shading point to it.
-            distance: from the shading point to it.
-            active: mask.
-            target: as `sample` returned it with this direction.
             specular_chain: whether the radiance is for an image of the lamp. Here it is
                 the same as what the lamp sends to receivers.
             span: distances from `entry` of the part of the ray that is in the scene. Default: all.
@@ -331,17 +300,7 @@ class EmitterSampler(DirectionSampler):
         sample2: mi.Point2f,
         active: mi.Bool | bool = True,
     ) -> tuple[mi.Point3f, mi.Vector3f, mi.Color3f]:
-        """Ray along which light leaves the lamp, and its flux.
-
-        Args:
-            choice: in [0, 1).
-            sample1, sample2: in the unit square.
-            active: mask.
-
-        Returns:
-            A point of the ray inside the proxy, the unit direction of travel, and its flux (local
-            units), whose mean over all samples is the lamp's flux.
-        """
+        """Ray along which light leaves the lamp, as `EmittedLight.sample_ray`."""
         direction = mi.warp.square_to_uniform_sphere(sample1)
         areas = projected_areas(self._half, direction)
         point = point_on_box(self._half, areas, direction, sample2)

@@ -88,11 +88,7 @@ class LampChoices:
 
 
 class LampChoice:
-    """The table and the lamps on the device.
-
-    Args:
-        lamps: at least one.
-    """
+    """The table and the lamps, at least one, on the device."""
 
     def __init__(self, lamps: Lamps) -> None:
         count = len(lamps.radii)
@@ -128,8 +124,6 @@ class LampChoice:
         Args:
             x, n: receivers, and their normals: unit vectors, or 0.
             excluded: index in the scene of a lamp that is not chosen, or `NO_LAMP`.
-            sample: in the unit square.
-            active: mask.
 
         Returns:
             Index in the scene; the factor by which its light counts for that of all lamps, 0 where
@@ -163,11 +157,6 @@ class LampChoice:
         It is not the probability of `sample`, which is also due to the choice among candidates.
         Weights of multiple importance sampling need no more than numbers that are the same for
         both ways to sample a direction, and near the probability.
-
-        Args:
-            index: of the lamp in the scene.
-            x: receivers.
-            active: mask.
         """
         lamp = self._lamp(index, active)
         return self._table.probability(self._row(x), lamp, mi.Bool(active) & (lamp != NO_LAMP))

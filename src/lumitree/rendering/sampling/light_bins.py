@@ -1,6 +1,6 @@
 """Bins of direction of a light field, and the packed numbers in them.
 
-Symbols are those of `light_field`.
+Symbols are as in `light_field`.
 """
 
 from __future__ import annotations
@@ -65,7 +65,6 @@ def smooth_bin(
 
     Args:
         direction: of any length; the random numbers are made of its bits.
-        resolution: bins a side.
         origin: of a ray whose direction many rays may have: the numbers are of both.
     """
     random = scrambled(mi.Point2f(direction.x, direction.y))

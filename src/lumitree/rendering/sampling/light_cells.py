@@ -18,7 +18,6 @@ class LightCells:
     """The parts of cells that are inside a lamp's box; light starts anywhere in them.
 
     Args:
-        half_extents: [3] of the box.
         cells: [C, 3] coordinates, in Morton order.
         depth: the grid has 2**depth cells a side.
 
@@ -48,14 +47,7 @@ class LightCells:
     def border(
         self, x: mi.Point3f, direction: mi.Vector3f, cell: mi.UInt32, active: mi.Bool | bool = True
     ) -> mi.Float:
-        """Distance at which a ray that meets a cell enters it; 0 if it starts in it.
-
-        Args:
-            x: origin of the ray, local frame.
-            direction: unit.
-            cell: index of the cell.
-            active: mask.
-        """
+        """Distance at which a ray that meets a cell enters it; 0 if it starts in it."""
         lower = dr.gather(mi.Vector3f, self.corners, 2 * cell, active)
         upper = dr.gather(mi.Vector3f, self.corners, 2 * cell + 1, active)
         near, _ = slab((lower + upper) / 2 - x, (upper - lower) / 2, safe_inverse(direction))

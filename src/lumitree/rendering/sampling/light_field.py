@@ -99,8 +99,6 @@ class DeviceLightField:
     """Device copy of a light field, in the lamp's local frame.
 
     Args:
-        field: what is emitted.
-        half_extents: [3] of the lamp's box.
         gain: [3] factors on R, G and B, not all 0.
         emitted: what it emits, if it is on the device already.
     """
@@ -150,13 +148,7 @@ class DeviceLightField:
     def sample(
         self, x: mi.Point3f, sample: mi.Point2f, active: mi.Bool | bool = True
     ) -> mi.Vector3f:
-        """Unit direction from a receiver.
-
-        Args:
-            x: local frame.
-            sample: in the unit square.
-            active: mask.
-        """
+        """Unit direction from a receiver at `x`."""
         uniform, rest = divide_sample(sample.x, UNIFORM_FRACTION)
         sample = mi.Point2f(rest, sample.y)
         cell, _ = self._table.sample(self._around.index(x), sample.x, active)
@@ -180,9 +172,6 @@ class DeviceLightField:
         Args:
             x: the receiver, as `sample` was given it.
             entry: a point of the ray outside the lamp's box or on it.
-            direction: unit direction from the receiver to it.
-            distance: from the receiver to it.
-            active: mask.
             parallel: whether many rays may have one direction, as in an orthographic image.
 
         Returns:
@@ -221,10 +210,7 @@ class DeviceLightField:
         is uniform.
 
         Args:
-            x: the receiver, local frame.
-            sample: in the unit square.
             near: whether the lamp's own surfaces block.
-            active: mask.
         """
         row = self._around.index(x)
         # Bits of the sample that the candidates do not depend on.
@@ -266,9 +252,7 @@ class DeviceLightField:
         Where the lamp's own surfaces block it is (I + J) κ in place of I.
 
         Args:
-            target: as `sample_point` returned it.
             other: b.
-            active: mask.
         """
         volume = dr.gather(mi.Float, self.cells.volume, target.cell, active)
         density = target.pmf * dr.square(target.distance) + other * volume
@@ -293,10 +277,8 @@ class DeviceLightField:
         z = k (r₁ - r₀) / (1 + k² r₀ r₁), times I / V.
 
         Args:
-            x, entry, direction, distance, active: as for `eval`.
             inverse: 1 / b; 0 for the whole radiance.
             blocked: whether the lamp's own surfaces block: then it is of (I + J) κ.
-            ends: where the ray ends.
         """
         row = self._around.index(x)
         shared = mi.Bool(active) & (inverse > 0)

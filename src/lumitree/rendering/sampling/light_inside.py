@@ -50,7 +50,7 @@ _NONE = 0xFFFFFFFF
 
 
 def inside_light(asset: Asset, *, blocked: bool) -> InsideLight:
-    """What an asset sends to receivers inside its box, shared by all instances of a lamp.
+    """Light that an asset sends to receivers inside its box, shared by all instances of a lamp.
 
     With `blocked`, the lamp's own surfaces are in the scene.
     """
@@ -65,12 +65,7 @@ def inside_light(asset: Asset, *, blocked: bool) -> InsideLight:
 
 
 class InsideReceivers:
-    """Cells of receivers in a box: as many a side, whatever its proportions.
-
-    Args:
-        half_extents: [3] of the box.
-        resolution: cells a side.
-    """
+    """Cells of receivers in a box: as many a side, whatever its proportions."""
 
     def __init__(self, half_extents: NDArray[np.float64], resolution: int) -> None:
         self.resolution, self.count = resolution, resolution**3
@@ -84,13 +79,7 @@ class InsideReceivers:
         return (place.z * side + place.y) * side + place.x
 
     def point(self, cell: mi.UInt32, sample: mi.Point2f, shell_sample: mi.Float) -> mi.Point3f:
-        """Random point of a cell.
-
-        Args:
-            cell: its index.
-            sample: in the unit square.
-            shell_sample: in [0, 1).
-        """
+        """Random point of a cell."""
         side = self.resolution
         place = mi.Vector3f(cell % side, cell // side % side, cell // side**2)
         within = mi.Vector3f(sample.x, sample.y, shell_sample)
@@ -102,10 +91,6 @@ class InsideLight:
 
     Args:
         field: what is emitted. Without its part `inside`, receivers get what leaves the box.
-        half_extents: [3] of the lamp's box.
-        outside: device copy of the field.
-        gain: [3] factors on R, G and B.
-        blocked: whether the lamp's own surfaces are in the scene, and block.
     """
 
     def __init__(
@@ -160,7 +145,6 @@ class InsideLight:
     def sample_point(
         self, x: mi.Point3f, sample: mi.Point2f, active: mi.Bool
     ) -> tuple[mi.Point3f, mi.UInt32, mi.Float]:
-        """As `DeviceLightField.sample_point`."""
         cell, chance = self._table.sample(self._receivers.index(x), sample.x, active)
         return self.cells.point(cell, scrambled(sample), active), cell, chance
 
@@ -173,7 +157,6 @@ class InsideLight:
         other: mi.Float,
         active: mi.Bool,
     ) -> mi.Color3f:
-        """As `DeviceLightField.contribution`."""
         volume = dr.gather(mi.Float, self.cells.volume, cell, active)
         density = chance * dr.square(distance) + other * volume
         light = self._light(cell, -direction, distance, active, blocked=self.blocked)
@@ -190,7 +173,7 @@ class InsideLight:
     ) -> mi.Color3f:
         """As `DeviceLightField.received`, for a ray from `entry` in the box on.
 
-        The light of a cell is that at the middle of the ray's way in it.
+        Each cell's light is taken at the middle of the ray's way in it.
         """
         row = self._receivers.index(x)
         shared = mi.Bool(active) & (inverse > 0)

@@ -263,7 +263,7 @@ def leaf_power(field: Field, levels: NDArray[np.int64]) -> NDArray[np.float64]:
 def _group(
     cells: NDArray[np.int64], levels: NDArray[np.int64], power: NDArray[np.float64]
 ) -> NDArray[np.int64]:
-    """Group [M] of each leaf: boxes of grid cells; those of the largest `_spread` are halved."""
+    """Group [M] of each leaf: boxes of grid cells; boxes of the largest `_spread` are halved."""
     grid = np.clip((cells + 0.5) * (_GRID / (1 << levels))[:, None], 0, _GRID - 1).astype(np.int64)
     occupied, owner = np.unique(grid @ [1, _GRID, _GRID**2], return_inverse=True)
     boxes = np.stack([occupied % _GRID, occupied // _GRID % _GRID, occupied // _GRID**2], axis=1)

@@ -92,10 +92,7 @@ def point_on_box(
 ) -> mi.Vector3f:
     """Point on the faces of a box at the origin that look `towards` a direction or point.
 
-    Args:
-        half: [3] half extents.
-        weights: [3] by axis: a face is chosen in proportion, a point uniformly on it.
-        sample: in the unit square.
+    A face is chosen in proportion to the weight [3] of its axis, and a point uniformly on it.
     """
     scaled = sample.x * dr.sum(weights)
     on_x = scaled < weights.x

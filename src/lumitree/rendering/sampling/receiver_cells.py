@@ -20,9 +20,7 @@ class ReceiverCells:
     """Cells around a lamp in its local frame, numbered shell by shell from the outermost.
 
     Args:
-        half_extents: [3] of the lamp's box.
         resolution: bins of direction a side.
-        num_shells: number of shells.
         shell_width: of a shell in R / distance.
     """
 
@@ -48,13 +46,7 @@ class ReceiverCells:
         return shell * self.num_bins + bin_of(offset, self.resolution, bevelled=False)
 
     def point(self, cell: mi.UInt32, sample: mi.Point2f, shell_sample: mi.Float) -> mi.Point3f:
-        """Random point of a cell, outside the lamp's box.
-
-        Args:
-            cell: its index.
-            sample: in the unit square, for the direction.
-            shell_sample: in [0, 1), for the distance.
-        """
+        """Random point of a cell, outside the lamp's box."""
         direction, _ = direction_in_bin(
             cell % self.num_bins, sample, self.resolution, bevelled=False
         )

@@ -24,15 +24,7 @@ def scrambled(sample: mi.Point2f) -> mi.Point3f:
 def sample_row(
     cumulated: mi.Float, first: mi.UInt32, count: int, sample: mi.Float, active: mi.Bool | bool
 ) -> mi.UInt32:
-    """Index, from 0, that a sample has in one row of a table.
-
-    Args:
-        cumulated: cumulated chances of all rows.
-        first: where the row begins.
-        count: length of a row.
-        sample: in [0, 1).
-        active: mask.
-    """
+    """Index, from 0, that a sample in [0, 1) has in one row of a table of cumulated chances."""
 
     # The search is over the next power of two, so that rows of similar lengths share a kernel.
     length, bound = dr.opaque(mi.UInt32, count), 1 << (count - 1).bit_length()

@@ -34,15 +34,7 @@ class SelfLights:
         return dr.gather(mi.Float, self._pmf, mi.UInt32(index))
 
     def sample(self, sample: mi.Float, active: mi.Bool) -> tuple[mi.ShapePtr, mi.Float, mi.Float]:
-        """Choose one of the shapes.
-
-        Args:
-            sample: in [0, 1).
-            active: mask.
-
-        Returns:
-            The shape, null where nothing emits; its probability; and a new sample in [0, 1).
-        """
+        """A shape, null where nothing emits; its probability; and a new sample in [0, 1)."""
         if not self._count:
             return dr.zeros(mi.ShapePtr), mi.Float(0), mi.Float(0)
         index = sample_row(self._cumulated, mi.UInt32(0), self._count, sample, active)
