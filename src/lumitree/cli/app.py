@@ -116,7 +116,6 @@ def _run(arguments: list[str]) -> int:
 
 
 def _show(args: argparse.Namespace, result: Any) -> None:
-    """Print the results of a command, and write them as JSON if that was asked for."""
     try:
         args.show(args, result)
         sys.stdout.flush()

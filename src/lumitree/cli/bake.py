@@ -262,7 +262,6 @@ def _base(args: argparse.Namespace) -> "BakeConfig | NetworkConfig":
 
 
 def _settings(args: argparse.Namespace) -> _Settings:
-    """Settings of the quality, with those of the file and of the options in their place."""
     config = _base(args)
     work = variant = None
     given = {} if args.quality is None else {"quality": "--quality"}

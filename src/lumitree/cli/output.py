@@ -158,7 +158,6 @@ def _print_irradiance(irradiance: dict[str, Any] | None) -> None:
 
 
 def _with_error(values: dict[str, float | None], name: str) -> str:
-    """A value and its standard error."""
     value, error = values[name], values[f"{name}_error"]
     if value is None:
         return "not known"

@@ -93,7 +93,6 @@ def load_mitsuba(variant: str | None = None) -> Any:
 
 
 def _load(variant: str | None, kinds: tuple[str, ...]) -> Any:
-    """Import Mitsuba with a variant whose name ends in one of `kinds`."""
     select_llvm()
     chosen = os.environ.get("DRJIT_LIBLLVM_PATH")
     if chosen and not Path(chosen).is_file():
@@ -142,10 +141,7 @@ def is_quiet() -> bool:
 
 
 def use_threads(count: int) -> None:
-    """Make CPU variants compute in so many threads once Mitsuba is loaded.
-
-    Called in processes that share the cores of a machine.
-    """
+    """Make CPU variants compute in so many threads once Mitsuba is loaded."""
     global _threads
     _threads = count
 

@@ -145,7 +145,6 @@ def _results(
 def _run(
     version: str, variant: str | None, function: Callable[..., R], arguments: tuple[Any, ...]
 ) -> tuple[R, list[str]]:
-    """Run a task in a worker; returns its result and the texts of its warnings."""
     if version != __version__:
         raise LumitreeError(
             f"a worker has lumitree {__version__}, but the tasks are of lumitree {version}; "

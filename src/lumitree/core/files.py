@@ -176,7 +176,6 @@ def _standard_stream(found: os.stat_result) -> int | None:
 
 
 def _send(content: Path, path: Path) -> None:
-    """Write the content of a file to a stream."""
     descriptor = _standard_stream(os.stat(path))
     # Behind what was printed before.
     for printed in (sys.stdout, sys.stderr):

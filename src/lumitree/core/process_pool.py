@@ -128,14 +128,7 @@ class _Process(SpawnProcess):
 
 
 class _Context(SpawnContext):
-    """Start method of a pool.
-
-    Args:
-        threads: that each process is to compute with.
-
-    Attributes:
-        made: its processes.
-    """
+    """Start method of a pool whose processes compute with so many threads each."""
 
     def __init__(self, threads: int) -> None:
         super().__init__()

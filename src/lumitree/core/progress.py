@@ -103,7 +103,6 @@ class _Display:
             )
 
     def _remove_rows(self, first: int) -> None:
-        """Remove the bars of this level and of those within it."""
         for row in self._rows[first:]:
             self._bar.remove_task(row)
         del self._rows[first:]

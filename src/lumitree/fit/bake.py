@@ -121,7 +121,6 @@ def _bake(
     work: FilePath | None,
     workers: "LampWorkers | None",
 ) -> BakeResult:
-    """`bake` of a luminaire that is loaded, with the state in a folder that is open."""
     from lumitree.fit.light_field.bake import bake_light_field
     from lumitree.fit.octree import bake as octree_fit
     from lumitree.rendering.asset_flux import with_light

@@ -358,7 +358,6 @@ def _bake_light_field(
     watch: Stopwatch,
     workers: "LampWorkers | None" = None,
 ) -> "LightField":
-    """`bake_light_field`, and the time that it takes."""
     from lumitree.fit.light_field.bake import bake_light_field
 
     with watch.stage("light"):

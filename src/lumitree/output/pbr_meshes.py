@@ -59,8 +59,7 @@ class Surface:
 def surfaces_of(asset: Asset, turn: NDArray[np.float64]) -> tuple[list[Surface], list[str]]:
     """The surfaces of an asset, and one line for each property that they lack.
 
-    Args:
-        turn: [3, 3] rotation from the frame of the luminaire's file to that of the program.
+    `turn` [3, 3] is the rotation from the frame of the luminaire's file to the program's.
     """
     geometry = asset.geometry
     if geometry is None:

@@ -135,12 +135,7 @@ def _jobs(
 
 
 class _Bakes:
-    """The bakes of a list.
-
-    Attributes:
-        lamps: their states, in the order of the list.
-        stopped_by: number of the signal that ended it; None if there was none.
-    """
+    """The bakes of a list: states of its lamps, and the signal that ended it, if any."""
 
     def __init__(self, jobs: Sequence[LampJob], index: FolderIndex | None) -> None:
         """Begin with all lamps "waiting"; `index` is written meanwhile."""

@@ -38,13 +38,7 @@ _MAX_CLAIM_BYTES = 10_000
 
 @dataclasses.dataclass(frozen=True)
 class Owner:
-    """The process that has a claim.
-
-    Attributes:
-        host: name of its machine; empty if it is not known.
-        process: its number on that machine.
-        since: when it took the claim, s since 1970.
-    """
+    """Process with a claim: its machine ("" if unknown), number, and start (s since 1970)."""
 
     host: str
     process: int
@@ -187,7 +181,6 @@ def _renewed(path: Path) -> Iterator[None]:
 
 
 def _release(path: Path, handle: int) -> None:
-    """Close the file of a claim, and remove it unless another process has taken it."""
     owner, this = _read(handle), _this_process()
     try:
         # While it is locked, so that it is not a claim of another process.

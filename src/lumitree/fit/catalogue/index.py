@@ -92,7 +92,6 @@ class FolderIndex:
 
 
 def _write_changed(path: Path, content: bytes) -> None:
-    """Write a file if it has another content."""
     try:
         if path.stat().st_size == len(content) and path.read_bytes() == content:
             return
@@ -102,7 +101,6 @@ def _write_changed(path: Path, content: bytes) -> None:
 
 
 def _remove_pages(folder: Path, pages: Iterable[str]) -> None:
-    """Remove pages that are not in use any more."""
     used = {os.path.basename(name) for name in pages}
     left = [
         name

@@ -106,13 +106,7 @@ class LampRecord:
 
 
 class LampFiles:
-    """The files of one lamp in a folder.
-
-    Attributes:
-        folder: of the assets.
-        name: of the lamp.
-        asset: the file of the asset.
-    """
+    """The files of the lamp `name` in the folder of the assets."""
 
     def __init__(self, folder: Path, name: str) -> None:
         self.folder = folder
@@ -162,11 +156,7 @@ class LampFiles:
         write_json(self._within(FAILURE), {"version": VERSION, "error": reason})
 
     def write_image(self, asset: Asset, settings: str) -> str:
-        """Write the thumbnail of an asset; returns the suffix of its file.
-
-        Args:
-            settings: of the bake, as in a record.
-        """
+        """Write the thumbnail of an asset; returns the suffix of its file."""
         kind = thumbnail_kind()
         write_bytes(self._within(f".{kind}"), thumbnail(asset, json.loads(settings)))
         return kind
@@ -180,13 +170,7 @@ class LampFiles:
 
 
 def figures_of(asset: Asset, file_bytes: int, irradiance: dict[str, Any] | None) -> dict[str, Any]:
-    """Figures of a record.
-
-    Args:
-        asset: what was baked.
-        file_bytes: size of its file.
-        irradiance: of the result of the bake.
-    """
+    """Figures of a record; `irradiance` is taken from the result of the bake."""
     from lumitree.rendering.asset_flux import asset_lumens
 
     return {

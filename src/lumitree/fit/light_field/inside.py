@@ -127,7 +127,6 @@ def make_entries(
     Memory: by entry 4 arrays of `DISTANCES`, here and in `encoded`; 0.4 GB for a million.
 
     Args:
-        field: the light field.
         cells: [C', 3] cells that have light that ends, each once, in any order.
         flux: [C', Q², 3] its flux.
         by_reach: [C', Q², K - 1] luminous flux of what ends between two distances.

@@ -103,12 +103,8 @@ class RaySet:
 def load_rays(dataset: Dataset, kind: OpacityKind, skip_empty: bool) -> tuple[RaySet, Occupancy]:
     """Read all views and keep the rays that cross an occupied part of the box.
 
-    All other rays have radiance 0 and opacity 0, in the captured views and in the field.
-
-    Args:
-        dataset: training views.
-        kind: which captured opacity supervises the field.
-        skip_empty: use the visual hull; otherwise the whole box counts as occupied.
+    All other rays have radiance 0 and opacity 0, in the captured views and in the field. Without
+    `skip_empty` the whole box counts as occupied.
 
     Raises:
         LumitreeError: views are missing or damaged, or all of them are black.

@@ -78,11 +78,7 @@ def gradients(
 
 
 def depth_gradient(field: LeafField, origin: Any, direction: Any, d_depth: Any) -> Any:
-    """The derivative by log density (mi.Float [M]) of a loss that depends on T alone.
-
-    Args:
-        d_depth: as in `gradients`.
-    """
+    """The derivative by log density (mi.Float [M]) of a loss that depends on T alone."""
     by_density = ExactSum(field.num_leaves, _MAX_DEPTH * total_of(dr.width(origin), d_depth))
 
     def shade(state, leaf, start, length, active):
@@ -95,11 +91,7 @@ def depth_gradient(field: LeafField, origin: Any, direction: Any, d_depth: Any) 
 
 
 def accumulate_by_weight(field: LeafField, origin: Any, direction: Any, value: Any) -> Any:
-    """For each leaf the sum over rays of its weight times a value (mi.Float [M]).
-
-    Args:
-        value: mi.Float of each ray.
-    """
+    """For each leaf the sum over rays of its weight times their value, mi.Float (mi.Float [M])."""
     total = ExactSum(field.num_leaves, total_of(dr.width(origin), value))
 
     def shade(state, leaf, start, length, active):

@@ -88,7 +88,6 @@ def _solve(
         residual, matrix: r [C, 3, K] and M [C, 3, K, K] of all rays.
         difference: of r_0 between two halves of the rays [C, 3].
         above: [C] for each level, index of the cell of that level that holds a cell.
-        config: the levels, and the prior.
     """
     total = np.zeros_like(residual)
     for level in range(config.coarsest_level, config.finest_level + 1):

@@ -41,12 +41,9 @@ class Rays:
 
 @dataclasses.dataclass
 class RayPairs:
-    """Rays with two independent noisy estimates of all their radiance.
+    """Rays with two independent noisy estimates of all their radiance (mi.Color3f).
 
-    Attributes:
-        origin, direction: as in `Rays`.
-        first, second: mi.Color3f.
-        transmittance: mi.Float, straight-through throughput.
+    `transmittance` (mi.Float) is the straight-through throughput; the rest is as in `Rays`.
     """
 
     origin: Any
@@ -58,13 +55,7 @@ class RayPairs:
 
 @dataclasses.dataclass(frozen=True)
 class Subject:
-    """What the rays show.
-
-    Attributes:
-        name: of the luminaire.
-        fingerprint: identifies its content.
-        frame: its local frame.
-    """
+    """Luminaire that the rays show."""
 
     name: str
     fingerprint: str

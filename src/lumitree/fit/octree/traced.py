@@ -37,10 +37,7 @@ class _Part(enum.IntEnum):
 class TracedRays:
     """Random rays of a luminaire, as many as needed; equal seeds and streams give equal rays.
 
-    Args:
-        luminaire: what is traced.
-        spacing: distance of neighbouring rays of a tile, local units.
-        seed: root seed of all random numbers, see `core.seeds`.
+    Neighbouring rays of a tile are `spacing` apart, in local units.
     """
 
     def __init__(self, luminaire: Luminaire, spacing: float, seed: int = 0) -> None:
@@ -193,5 +190,4 @@ class TracedRays:
 
 
 def _join(first: Any, second: Any) -> Any:
-    """One vector array after the other."""
     return type(first)(*(dr.concat(values) for values in zip(first, second, strict=True)))

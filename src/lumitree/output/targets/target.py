@@ -27,9 +27,7 @@ class ExportRequest:
 
     Attributes:
         asset: the asset, near the origin of its file.
-        lights: largest number of point lights.
         up: the axis that points up in the luminaire's file.
-        seed: root seed of the clusters of lights.
         blender: the program that the user named to run scripts of Blender, or None.
         importer: the program that reads the file, if it needs other values than the format's.
         name: file name of the output, without folders; other files have names derived from it.

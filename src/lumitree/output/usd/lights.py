@@ -26,14 +26,10 @@ _ALL_DIRECTIONS = 180.0
 
 
 class LightWriter:
-    """Defines the lights of a lamp in a stage.
+    """Defines the lights of a lamp in a stage with y up and lengths in metres, below a parent.
 
-    Args:
-        pxr: the library.
-        stage: of OpenUSD, with y up and lengths in metres.
-        parent: path of the prim that holds the lights.
-        hidden: path of what casts no shadow in their light.
-        radius: half the lamp's longest side, m.
+    `hidden` is the path of what casts no shadow in their light, `radius` half the lamp's longest
+    side, m.
     """
 
     def __init__(self, pxr: Any, stage: Any, parent: str, hidden: str, radius: float) -> None:

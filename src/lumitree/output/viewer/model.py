@@ -124,11 +124,7 @@ def _sent_out(
     backs: NDArray[Any],
     lights: Mapping[str, Any] | None = None,
 ) -> NDArray[np.float32]:
-    """Mean radiance [V, 6] that vertices send out at front and back, over that of a pattern.
-
-    Args:
-        lights: as for `vertex_radiance`.
-    """
+    """Mean radiance [V, 6] that vertices send out at front and back, over the mean of a pattern."""
     count = len(vertices)
     if not len(fronts):
         return np.zeros((count, 6), np.float32)

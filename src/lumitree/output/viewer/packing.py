@@ -53,11 +53,7 @@ class PackedAsset:
 
 
 def pack_asset(asset: Asset) -> PackedAsset:
-    """Convert an asset for the page.
-
-    Raises:
-        LumitreeError: it is too large for textures of WebGL 2.
-    """
+    """Convert an asset for the page; refuses one too large for textures of WebGL 2."""
     arrays: dict[str, NDArray[Any]] = {}
     has_field, view = asset.num_leaves > 0, DEFAULT_VIEW
     model = field = light = None
@@ -122,7 +118,6 @@ def _shown(has_model: bool, has_field: bool) -> str:
 
 
 def _field(asset: Asset, steps: Steps) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Numbers and arrays of a field."""
     levels = wide_nodes(asset.children, asset.tree_depth)
     starts = np.concatenate([[0], np.cumsum([level.size for level in levels])])
     arrays: dict[str, NDArray[Any]] = {

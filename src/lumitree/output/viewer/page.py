@@ -16,11 +16,7 @@ _SHADERS = ("field", "model", "display", "irradiance", "walls")
 
 
 def make_page(asset: Asset) -> str:
-    """HTML text of a page that shows an asset; it loads nothing.
-
-    Raises:
-        LumitreeError: the asset cannot be shown; see `pack_asset`.
-    """
+    """HTML text of a page that shows an asset; it loads nothing. Errors are as in `pack_asset`."""
     packed = pack_asset(asset)
     shaders = {name: _file(f"{name}.glsl") for name in _SHADERS}
     parts = {
