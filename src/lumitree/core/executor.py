@@ -106,7 +106,12 @@ def run_tasks(
 
 def tasks_at_once(executor: Executor) -> int:
     """How many tasks are submitted before the result of one is read."""
-    return _TASKS_PER_WORKER * _num_workers(executor)
+    workers = getattr(executor, "_max_workers", None)
+    if (client := getattr(executor, "_client", None)) is not None:  # of Dask
+        workers = sum(client.nthreads().values())
+    if not isinstance(workers, int) or workers <= 0:
+        workers = _ASSUMED_WORKERS
+    return _TASKS_PER_WORKER * workers
 
 
 def _results(
@@ -182,11 +187,3 @@ def _explaining_loss(finished: int, what: str, total: int | None, remedy: str) -
         if isinstance(error, CancelledError):
             lost = "the connection to the workers was lost, or the tasks were cancelled there"
         raise LumitreeError(f"{lost}; {count} {what} are finished; {remedy}") from error
-
-
-def _num_workers(executor: Executor) -> int:
-    """Number of workers of an executor; a guess where it states none."""
-    workers = getattr(executor, "_max_workers", None)
-    if (client := getattr(executor, "_client", None)) is not None:  # of Dask
-        workers = sum(client.nthreads().values())
-    return workers if isinstance(workers, int) and workers > 0 else _ASSUMED_WORKERS

@@ -38,7 +38,9 @@ def unoccluded(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Luminous flux [E, K] of (I + J) V by entry and distance: two independent estimates."""
     fine = _fine_bins(luminaire, entries)
-    first, second = (_beyond(_ends(luminaire, entries, fine, (seed, part))) for part in (0, 1))
+    ends = (_ends(luminaire, entries, fine, (seed, part)) for part in (0, 1))
+    # Sums of what ends at a distance or farther.
+    first, second = (each[:, ::-1].cumsum(axis=1, dtype=np.float32)[:, ::-1] for each in ends)
     return first, second
 
 
@@ -97,11 +99,6 @@ def _ends(
         sums = np.bincount(index, weight[of], rows * len(DISTANCES))
         ends[first : last + 1] += sums.reshape(rows, -1)
     return ends
-
-
-def _beyond(ends: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Sums [E, K] of what ends at a distance or farther."""
-    return ends[:, ::-1].cumsum(axis=1, dtype=np.float32)[:, ::-1]
 
 
 def _first_hits(

@@ -17,7 +17,7 @@ _ALIGNMENT = 4
 
 
 class Glb:
-    """A file that grows call by call; `json` is its object without `buffers` and `extensionsUsed`."""
+    """A file that grows call by call; `json` lacks `buffers` and `extensionsUsed`."""
 
     def __init__(self, generator: str) -> None:
         asset = {"version": "2.0", "generator": generator}
