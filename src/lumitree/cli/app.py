@@ -67,7 +67,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command.
 
     Args:
-        argv: arguments of the command line. Default: those of the process.
+        argv: arguments of the command line. Default: the arguments of the process.
 
     Returns:
         The exit status: 0 for success, 1 for an error in lumitree, 2 for invalid input, and 128

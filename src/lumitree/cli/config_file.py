@@ -43,7 +43,7 @@ def read_config(table: Table, config: _T) -> tuple[_T, list[str]]:
             values[field.name] = value
             given.append(field.name)
     if "rays" in given and "time" not in given and "time" in hints:
-        # As on a command line: a budget of rays replaces that of time.
+        # As on a command line: a budget of rays replaces a budget of time.
         values["time"] = None
     try:
         return dataclasses.replace(typing.cast(Any, config), **values), given

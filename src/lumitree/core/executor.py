@@ -157,7 +157,7 @@ def _run(
         )
     with turn(), stopped_by_pool(), reporting(None):
         if variant is not None and "mitsuba" in sys.modules:
-            # What a worker has kept from an earlier task is of the variant that it was made with.
+            # Objects that a worker keeps from an earlier task belong to the variant of that task.
             load_mitsuba(variant)
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", LumitreeWarning)

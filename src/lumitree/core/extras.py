@@ -1,4 +1,4 @@
-"""Optional dependencies: those of the network and of clusters."""
+"""Optional dependencies, for the network and for clusters."""
 
 import importlib.util
 

@@ -38,7 +38,7 @@ from lumitree.core.system import (
 
 # Interval at which a worker looks at the flag of its pool, s.
 _LOOK_SECONDS = 0.2
-# Of OpenBLAS, MKL, Accelerate, and libraries that use OpenMP.
+# Variables of OpenBLAS, MKL, Accelerate, and libraries that use OpenMP.
 _BLAS_VARIABLES = (
     "OPENBLAS_NUM_THREADS",
     "MKL_NUM_THREADS",

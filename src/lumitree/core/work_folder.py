@@ -397,7 +397,7 @@ def _remove_abandoned(folder: Path) -> None:
     """Remove a temporary folder that no running process has locked."""
     # The folder may be another user's, or another process may be making or removing it.
     with contextlib.suppress(OSError):
-        # Of a process that was killed before it made the marker.
+        # Left by a process that was killed before it made the marker.
         os.rmdir(folder)
     with contextlib.suppress(OSError):
         handle = os.open(folder / MARKER, os.O_RDWR)

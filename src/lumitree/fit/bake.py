@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from lumitree.lamp.luminaire import Luminaire, LuminaireLike
     from lumitree.lamp.sent import LampWorkers
 
-# What `bake` does not take, and the functions for it.
+# Sources that `bake` does not take, and the functions for them.
 _OTHERS = {
     "photometric": ("a photometric file", "bake_photometric"),
     "dataset": ("the folder of a dataset", "bake_views"),

@@ -196,7 +196,7 @@ class Octree:
         size = 1 << self.tree_depth
         half = mi.Point3f(self._half)
         inside = mi.Bool(active) & dr.all(dr.abs(point) <= half + _BORDER)
-        # What a lamp ends with, a canopy's top say, is on the border: within, not in the next cell.
+        # The end of a lamp, such as a canopy's top, is on the border: within, not in the next cell.
         point = dr.clip(point, -half, half - _BORDER)
         return self.leaf_at(mi.Vector3i(dr.floor((point + 1) * (size / 2))), inside)
 

@@ -91,7 +91,7 @@ class PbrMaterial:
             the luminaire's file.
         opacity: part of the surface that is there.
         clearcoat, clearcoat_roughness, sheen: as in glTF.
-        normal: texture of normals in the tangent space; None for those of the mesh.
+        normal: texture of normals in the tangent space; None for the mesh's normals.
         two_sided: whether the back reflects as the front does.
         emission: radiance of the front, W/(m² sr), with the asset's gain; black for none.
     """

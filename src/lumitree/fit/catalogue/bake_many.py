@@ -122,7 +122,7 @@ def bake_many(
 def _jobs(
     root: Path, named: Mapping[str, LuminaireSource], config: BakeConfig, variant: str | None
 ) -> list[LampJob]:
-    """The bakes of luminaires by name; those of one kind share their settings and the text."""
+    """The bakes of luminaires by name; sources of one kind share settings and their text."""
     shared: dict[bool, tuple[BakeConfig, str]] = {}
     jobs = []
     for name, source in named.items():

@@ -85,7 +85,7 @@ def _take(path: Path) -> int | Owner:
     path.parent.mkdir(parents=True, exist_ok=True)
     while True:
         try:
-            # Of several processes only one makes the file, also where there are no locks.
+            # Only one of several processes makes the file, also where there are no locks.
             flags = os.O_RDWR | os.O_CREAT | os.O_EXCL
             handle, is_new = patiently(os.open, path, flags, 0o666), True
         except FileExistsError:
@@ -137,7 +137,7 @@ def _living(handle: int, locked: bool | None, folder: Path) -> Owner | None:
     ):
         return None
     with tempfile.NamedTemporaryFile(dir=folder) as file:
-        # The clock of the file system, which may be that of another machine.
+        # The clock of the file system, which may be another machine's.
         file.write(b"0")
         file.flush()
         now = os.fstat(file.fileno()).st_mtime
@@ -152,7 +152,7 @@ def _this_process() -> Owner:
 
 
 def _read(handle: int) -> Owner | None:
-    """What a claim says; None if its owner has not written it yet, or it is damaged."""
+    """Content of a claim; None if its owner has not written it yet, or it is damaged."""
     os.lseek(handle, 0, os.SEEK_SET)
     try:
         record = Record(parse_json(os.read(handle, _MAX_CLAIM_BYTES)), "claim")

@@ -148,7 +148,7 @@ class Records:
         return lamps
 
     def _cached(self, entry: os.DirEntry[str], name: str, read: Callable[[LampFiles], Any]) -> Any:
-        """What `read` reads of a file of a lamp; None if the file cannot be read."""
+        """Result of `read` for a file of a lamp; None if the file cannot be read."""
         try:
             found = entry.stat()
         except FileNotFoundError:

@@ -68,7 +68,7 @@ class LampJob:
         )
 
     def here(self, outcome: Outcome) -> Outcome:
-        """What became of the lamp `elsewhere`, with the names that this process uses."""
+        """Outcome of the lamp `elsewhere`, with the names that this process uses."""
         lamp = outcome.lamp
         path = None if lamp.path is None else LampFiles(self.folder, self.name).asset
         lamp = dataclasses.replace(lamp, source=self.source.name, path=path)

@@ -1,4 +1,4 @@
-"""What a folder of baked lamps holds of each: the asset, a thumbnail, and a record of its bake.
+"""Files of each baked lamp of a folder: the asset, a thumbnail, and a record of its bake.
 
 A record is one small file, so that writing one costs the same however many lamps there are, and a
 process that is killed damages none.
@@ -21,7 +21,7 @@ from lumitree.fit.sources import PHOTOMETRIC_SETTINGS
 from lumitree.lamp.builtin.registry import BUILTIN
 from lumitree.lamp.source import LuminaireSource, source_kind
 
-# Folder of the thumbnails and records, within that of the assets.
+# Folder of the thumbnails and records, within the assets' folder.
 INDEX_FILES = "index-files"
 RECORD, FAILURE = ".json", ".failed"
 VERSION = 2
@@ -44,7 +44,7 @@ class BakedLamp:
             interrupted before it, or while another process worked on it.
         path: file of the asset; None if none was written.
         error: why it failed; None if it did not.
-        seconds: wall time of its bake, with that of earlier calls.
+        seconds: wall time of its bake, including earlier calls.
         figures: `lumens`, `file_bytes`, `size` and `irradiance_rms`; empty if there is no asset.
     """
 

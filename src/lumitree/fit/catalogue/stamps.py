@@ -19,7 +19,7 @@ _UNSURE_NS = 2_000_000_000
 
 @dataclasses.dataclass(frozen=True)
 class FileStamp:
-    """What a file was when it was read.
+    """State of a file when it was read.
 
     Attributes:
         name: path relative to the folder of the assets.

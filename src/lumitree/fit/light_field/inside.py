@@ -31,7 +31,7 @@ DISTANCES = np.hstack(
 ).astype(np.float32)
 
 
-# κ is that of the farthest distance as far as which the surfaces leave this part of the light.
+# κ is constant beyond the last distance at which at least this part of the light is unoccluded.
 # Farther, a ratio of what is left would be noise.
 _LEAST = 0.05
 

@@ -55,7 +55,7 @@ def total_loss(
     max_radiance: float,
     config: TrainConfig,
 ) -> jax.Array:
-    """L_c + L_f + L_opacity with equal weights (Eq. 7); L_opacity is that of the fine network.
+    """L_c + L_f + L_opacity with equal weights (Eq. 7); L_opacity uses the fine network's opacity.
 
     Without `config.supervise_opacity` L_opacity is left out.
     """

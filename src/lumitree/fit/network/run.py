@@ -30,7 +30,7 @@ CHECKPOINTS = "checkpoints"
 # Patterns of what is in a run's folder. A checkpoint is a folder named after its step.
 RUN_FILES = (RECORD, OCCUPANCY, HISTORY, f"{CHECKPOINTS}/[0-9]*")
 VERSION = 1
-# Of a checkpoint, beside its arrays; about.
+# Size of a checkpoint beside its arrays, about.
 _METADATA_BYTES = 1 << 18
 _MAX_RECORD_BYTES, _MAX_PATH = 1 << 20, 1 << 14
 

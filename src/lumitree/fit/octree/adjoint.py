@@ -1,6 +1,6 @@
 """The adjoint of `LeafField.integrate`: derivatives, and sums by leaf over many rays.
 
-Each function traverses the rays a second time. Symbols are those of `leaf_field`, and
+Each function traverses the rays a second time. Symbols are as in `leaf_field`, and
 
     dL          derivative of the loss by L
     g           w Phi (1 - Phi), derivative of w Phi by the logit of Phi
@@ -56,7 +56,7 @@ def gradients(
         depth, tau, after = field.cross(tau, leaf, length, active)
         weight = through - after
         visible = active & (weight > MIN_WEIGHT)
-        # Of thin leaves too: Adam follows the sign of the smallest gradient.
+        # Also for thin leaves: Adam follows the sign of the smallest gradient.
         emission = field.emission(leaf, y, active)
         seen = dr.select(visible, seen + weight * emission, seen)
         if field.law == "linear":

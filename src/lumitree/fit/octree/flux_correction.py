@@ -1,4 +1,4 @@
-"""The flux correction factor: total flux of the luminaire over that of the field."""
+"""The flux correction factor: total flux of the luminaire over the field's total flux."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple

@@ -59,7 +59,7 @@ class StoredRays:
     def draw(
         self, count: int, stream: SeedStream, wanted: Wanted, light_paths_per_ray: float = 0
     ) -> Rays:
-        """Of rays through `count` random pixels of the training views, those that are wanted.
+        """The wanted ones of rays through `count` random pixels of the training views.
 
         They hold all the light; `light_paths_per_ray` is ignored.
         """

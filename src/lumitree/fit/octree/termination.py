@@ -85,7 +85,7 @@ def trace_to_termination(scene, sampler, ray):
         onwards = spawn(si, si.to_world(sample.wo), extent)
 
         bent = dr.dot(ray.d, straight) < COSINE_OF_CONE
-        # What leaves in another direction is not behind the luminaire: it was deflected inside.
+        # Light leaving in another direction is not behind the luminaire: it was deflected inside.
         deflected = active & ~collides & ~si.is_valid() & bent & (crossings > 0)
         ends = deflected | collides | (hits & (~transmits | (dr.max(throughput) <= 0)))
         last = dr.select(collides, ray(flight), dr.select(deflected, ray.o, si.p))

@@ -64,7 +64,7 @@ class TracedRays:
     def draw(
         self, count: int, stream: SeedStream, wanted: Wanted, light_paths_per_ray: float
     ) -> Rays:
-        """Of `count` random rays those that are wanted, and light paths.
+        """The wanted ones of `count` random rays, and light paths.
 
         Args:
             light_paths_per_ray: light paths traced for each of the `count` rays.
@@ -91,7 +91,7 @@ class TracedRays:
         return rays
 
     def draw_opacity(self, count: int, stream: SeedStream, wanted: Wanted) -> tuple[Any, Any, Any]:
-        """Origin, direction and transmittance of those of `count` random rays that are wanted."""
+        """Origin, direction and transmittance of the wanted ones of `count` random rays."""
         rays = self._wanted_rays(count, stream, wanted)
         if not dr.width(rays[0]):
             return *rays, mi.Float()

@@ -40,7 +40,7 @@ from lumitree.output.optics import (
     relative_index,
 )
 
-# What Cycles has no equal for, by plugin.
+# Properties without an equal in Cycles, by plugin.
 _LOST = {
     "thindielectric": "thin glass reflects and transmits without multiple reflections",
     "conductor": "metals have their reflectance at normal incidence for all angles",

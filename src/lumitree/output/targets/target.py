@@ -1,4 +1,4 @@
-"""What a target of `lumitree export` is given, and what it returns."""
+"""The request to a target of `lumitree export`, and its result."""
 
 import dataclasses
 import hashlib
@@ -23,7 +23,7 @@ LOST_IN_BLENDER = (
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class ExportRequest:
-    """What is exported, and how.
+    """The asset to export, and the settings of the export.
 
     Attributes:
         asset: the asset, near the origin of its file.
@@ -61,7 +61,7 @@ class ExportRequest:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Written:
-    """What a target wrote.
+    """The output of a target.
 
     Attributes:
         units: one line: the units of lengths and of light.

@@ -90,7 +90,7 @@ class MaterialWriter:
 
 
 def _diffuse(surface: Surface) -> Layer:
-    """The colour; that of clear glass is what its tint has above its least channel.
+    """The colour; for clear glass, the part of its tint above the least channel.
 
     What is not transparent of a surface is diffuse here: near a lamp grey glass would glow.
     """

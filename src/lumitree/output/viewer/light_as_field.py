@@ -96,7 +96,7 @@ def brightest_view(asset: Asset) -> tuple[float, float]:
 def _by_bin(light: LightField) -> NDArray[np.float64]:
     """Mean intensity [C, B, 3] of bins, `_RESOLUTION` a side."""
     own = light.resolution
-    # Of bins that are larger, each is divided.
+    # Larger bins are divided.
     fine = max(own, _RESOLUTION)
     shape = _RESOLUTION, fine // _RESOLUTION, _RESOLUTION, fine // _RESOLUTION
     weight = solid_angles(fine).reshape(shape)

@@ -76,7 +76,7 @@ def page_model(asset: Asset) -> PageModel:
     seen = faces[ends], faces[backs]
     light = _sent_out(asset, vertices, means, *seen)
     largest = float(light.max()) or 1.0
-    # The pattern of an emitter is that of its own light.
+    # The pattern of an emitter is the pattern of its own light.
     means[faces[np.array([row.emits for row in rows])[surfaces]]] = 1.0
     lights = studio_lights(portrait_half_width(asset), 1.0)
     soft = _sent_out(_unlit(asset), vertices, means, *seen, lights)

@@ -1,4 +1,4 @@
-"""What the page of the viewer holds of an asset: arrays of numbers in one compressed stream.
+"""Content of the page of the viewer: arrays of an asset in one compressed stream.
 
 The geometry is shown, if there is one (`model`), and the field. The field is rounded as in a
 file, and its numbers are those of the file's stream (`field_bytes`). Without both the light field
@@ -113,7 +113,7 @@ def pack_asset(asset: Asset) -> PackedAsset:
 
 
 def _shown(has_model: bool, has_field: bool) -> str:
-    """What images of the page show."""
+    """Subjects of the page's images."""
     return " and ".join(["model"] * has_model + ["field"] * has_field) or "light field"
 
 

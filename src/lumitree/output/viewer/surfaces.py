@@ -24,7 +24,7 @@ _WHITE = (1.0, 1.0, 1.0)
 
 
 class Kind(enum.IntEnum):
-    """What happens to a ray. The numbers are those of model.glsl."""
+    """Effect of a surface on a ray. The numbers are the same in model.glsl."""
 
     ENDS = 0
     GLASS = 1
