@@ -67,7 +67,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command.
 
     Args:
-        argv: arguments of the command line. Default: those of the process.
+        argv: arguments of the command line. Default: the arguments of the process.
 
     Returns:
         The exit status: 0 for success, 1 for an error in lumitree, 2 for invalid input, and 128
@@ -116,7 +116,6 @@ def _run(arguments: list[str]) -> int:
 
 
 def _show(args: argparse.Namespace, result: Any) -> None:
-    """Print the results of a command, and write them as JSON if that was asked for."""
     try:
         args.show(args, result)
         sys.stdout.flush()

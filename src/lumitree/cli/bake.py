@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 _FIELDS = ("time", "seed", "parts", "lumens", "temperature")
 # Options that choose who traces light paths.
 _WORKERS = ("workers", "scheduler")
-# Of these and of the group `octree` only the radiance field depends.
+# Only the radiance field depends on these and on the group `octree`.
 _OF_FIELD = ("time", "rays", "tree_depth", "l_max", "law", "octree")
 _SHOWN = {
     "geometry": "Images show the lamp's own geometry.",
@@ -44,7 +44,7 @@ _HEAD = """# Settings of 'lumitree bake --config FILE'. Remove the # before a se
 
 @dataclasses.dataclass(frozen=True)
 class _Settings:
-    """What options and the file of `--config` say.
+    """Settings from the options and from the file of `--config`.
 
     Attributes:
         config: settings of the bake.
@@ -235,7 +235,7 @@ def show(args: argparse.Namespace, result: Any) -> None:
 
 
 def _shown(asset: "Asset") -> str:
-    """What images show of an asset, and what it may lack for more."""
+    """Part of an asset that images show, and the part that it lacks for more."""
     appearance = asset.info.appearance
     line = _SHOWN[appearance]
     if appearance == "geometry" and asset.num_leaves == 0:
@@ -262,7 +262,6 @@ def _base(args: argparse.Namespace) -> "BakeConfig | NetworkConfig":
 
 
 def _settings(args: argparse.Namespace) -> _Settings:
-    """Settings of the quality, with those of the file and of the options in their place."""
     config = _base(args)
     work = variant = None
     given = {} if args.quality is None else {"quality": "--quality"}

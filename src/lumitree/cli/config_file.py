@@ -43,7 +43,7 @@ def read_config(table: Table, config: _T) -> tuple[_T, list[str]]:
             values[field.name] = value
             given.append(field.name)
     if "rays" in given and "time" not in given and "time" in hints:
-        # As on a command line: a budget of rays replaces that of time.
+        # As on a command line: a budget of rays replaces a budget of time.
         values["time"] = None
     try:
         return dataclasses.replace(typing.cast(Any, config), **values), given
@@ -62,7 +62,8 @@ def _lines(config: Any, name: str) -> list[str]:
     groups = [each.name for each in fields if dataclasses.is_dataclass(getattr(config, each.name))]
     lines = []
     if name:
-        lines += ["", f"# {_summary(type(config))}", f"[{name}]"]
+        summary = (type(config).__doc__ or "").partition("\n")[0]
+        lines += ["", f"# {summary}", f"[{name}]"]
     for field in fields:
         if field.name not in groups:
             meaning = meanings.get(field.name, "")
@@ -74,10 +75,6 @@ def _lines(config: Any, name: str) -> list[str]:
     for group in groups:
         lines += _lines(getattr(config, group), f"{name}.{group}" if name else group)
     return lines
-
-
-def _summary(kind: type) -> str:
-    return (kind.__doc__ or "").partition("\n")[0]
 
 
 def _meanings(kind: type) -> dict[str, str]:

@@ -129,7 +129,6 @@ def run(args: argparse.Namespace) -> Any:
 
 
 def _areas(groups: list[dict[str, Any]]) -> tuple[list[Any], list[Any]]:
-    """Planes and surfaces of the options."""
     import lumitree
 
     planes = [lumitree.Plane(**group) for group in groups if "centre" in group]

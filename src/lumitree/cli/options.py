@@ -12,7 +12,7 @@ from lumitree.errors import LumitreeError, shown
 
 LUMINAIRE = "built-in name, Mitsuba 3 scene (.xml) or model (.obj, .gltf, .glb)"
 
-# What is taken wherever an asset is.
+# Files that are taken wherever an asset is.
 PHOTOMETRIC = ", or a photometric file (.ies, .ldt, .gldf, .tm33, .ray, .tm25ray)"
 
 

@@ -120,7 +120,7 @@ def print_lamps(lamps: Sequence[Any]) -> None:
 
 
 def _irradiance_lines(irradiance: dict[str, Any]) -> dict[str, str]:
-    """Lines of a bake: flux through a cube over that of the luminaire, and RMS errors."""
+    """Lines of a bake: flux through a cube over the luminaire's, and RMS errors."""
     lines = {}
     if "irradiance_ratio" in irradiance:
         error = irradiance["ratio_error"]
@@ -149,7 +149,7 @@ def _print_irradiance(irradiance: dict[str, Any] | None) -> None:
     for face, values in irradiance["faces"].items():
         table.add_row(face, *(_with_error(values, name) for name in ("ratio", "rms")))
     Console().print(table)
-    # Of a comparison of two assets there is none.
+    # A comparison of two assets has none.
     if (flux := irradiance.get("flux")) is not None:
         print(f"flux: {flux_text(flux['light_paths'], flux['light_paths_error'])} by light paths")
         if flux["camera_paths"] is not None:
@@ -158,7 +158,6 @@ def _print_irradiance(irradiance: dict[str, Any] | None) -> None:
 
 
 def _with_error(values: dict[str, float | None], name: str) -> str:
-    """A value and its standard error."""
     value, error = values[name], values[f"{name}_error"]
     if value is None:
         return "not known"

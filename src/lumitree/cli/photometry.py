@@ -91,7 +91,6 @@ def show(args: argparse.Namespace, result: Any) -> None:
 
 
 def _print_near_field(result: Any) -> None:
-    """The table of the inverse-square test."""
     from rich.console import Console
     from rich.table import Table
 

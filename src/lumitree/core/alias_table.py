@@ -22,7 +22,7 @@ class AliasTable:
 
     An entry has two words: a threshold and the index of the alias in one; and the probability of
     its own index. Thresholds are rounded up to what the first word has room for, so that no index
-    has probability 0, and the probabilities are those of the rounded thresholds.
+    has probability 0, and the probabilities follow from the rounded thresholds.
 
     Args:
         weights: arrays [.., N] of all rows, at least 0, with a positive sum in each row.

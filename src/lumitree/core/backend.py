@@ -22,7 +22,7 @@ from lumitree.errors import LumitreeError, LumitreeWarning, shown
 
 CPU_VARIANT = "llvm_ad_rgb"
 GPU_VARIANT = "cuda_ad_rgb"
-# What the names of variants end in.
+# Endings of the names of variants.
 _RGB, _SPECTRAL = "_ad_rgb", "_ad_spectral"
 # The AVX-512 back end of older versions cannot compile the `fminimum` that Dr.Jit emits.
 MIN_LLVM = 17
@@ -50,7 +50,7 @@ _LLVM_INSTALLERS = {
     "linux": f" (on Debian and Ubuntu: apt install libllvm{MIN_LLVM + 2})",
     "win32": " (winget install LLVM.LLVM)",
 }
-# The library of LLVM itself, by its name; and its major version, there or in that of its folder.
+# The library of LLVM by its name; its major version, in this name or in its folder's name.
 _LLVM_NAME = re.compile(r"libLLVM([-.]?\d[\d.]*)?\.(so|dylib)[\d.]*|LLVM-C\.dll", re.IGNORECASE)
 _LLVM_VERSION = re.compile(r"libLLVM(?:-|\.so\.|\.)?(\d+)", re.IGNORECASE)
 _LLVM_FOLDER = re.compile(r"[/\\]llvm[-@](\d+)[^/\\]*[/\\]", re.IGNORECASE)
@@ -93,7 +93,6 @@ def load_mitsuba(variant: str | None = None) -> Any:
 
 
 def _load(variant: str | None, kinds: tuple[str, ...]) -> Any:
-    """Import Mitsuba with a variant whose name ends in one of `kinds`."""
     select_llvm()
     chosen = os.environ.get("DRJIT_LIBLLVM_PATH")
     if chosen and not Path(chosen).is_file():
@@ -142,10 +141,7 @@ def is_quiet() -> bool:
 
 
 def use_threads(count: int) -> None:
-    """Make CPU variants compute in so many threads once Mitsuba is loaded.
-
-    Called in processes that share the cores of a machine.
-    """
+    """Make CPU variants compute in so many threads once Mitsuba is loaded."""
     global _threads
     _threads = count
 
@@ -214,7 +210,7 @@ def _import_mitsuba() -> Any:
 
 
 def _remedy() -> str:
-    """What to do about a libLLVM that cannot be used."""
+    """Advice about a libLLVM that cannot be used."""
     if _bundled_llvm() is not None:
         return "unset DRJIT_LIBLLVM_PATH to use the one that comes with lumitree"
     how = _LLVM_INSTALLERS.get(sys.platform, "")
@@ -244,13 +240,13 @@ def _installed_llvm() -> Path | None:
     patterns = map(os.path.expandvars, places)
     names = [name for pattern in patterns for name in glob.glob(pattern)]
     found = [(_version_in(name), name) for name in names if _LLVM_NAME.fullmatch(Path(name).name)]
-    # Of an unknown version it is taken if there is no other.
+    # A library of unknown version is taken if there is no other.
     usable = [each for each in found if each[0] == 0 or each[0] >= MIN_LLVM]
     return Path(max(usable)[1]) if usable else None
 
 
 def _version_in(path: str) -> int:
-    """Major version of a libLLVM by its name, or that of its folder; 0 if neither states it."""
+    """Major version of a libLLVM by its name or its folder's name; 0 if neither states it."""
     name = _LLVM_VERSION.match(Path(os.path.realpath(path)).name)
     folders = _LLVM_FOLDER.findall(path)
     if name is None or (int(name[1]) < 4 and folders):

@@ -31,11 +31,11 @@ VERSION = 1
 MANIFEST = "manifest.json"
 # Patterns of the files in a dataset's folder.
 DATASET_FILES = (MANIFEST, "view_*.exr")
-# The Halton indices of training views stay below those of test views.
+# The Halton indices of training views stay below the indices of test views.
 MAX_VIEWS = FIRST_TEST_INDEX - 1
 # Keys of a `Frame` in the file.
 _FRAME_KEYS = ("file", "halton_index", "proxy_from_camera")
-# Of a file's name, in most file systems.
+# Limit of a file's name in most file systems.
 _MAX_NAME_BYTES = 255
 # A view takes about 600 bytes.
 _MAX_MANIFEST_BYTES = 1 << 28
@@ -63,7 +63,7 @@ class Frame:
 
 @dataclasses.dataclass(frozen=True)
 class Manifest:
-    """What a dataset shows and how it was captured.
+    """Subject of a dataset, and how it was captured.
 
     Attributes:
         luminaire: name or file name of the luminaire; kept as a `core.reading.label`.

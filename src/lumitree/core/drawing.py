@@ -175,7 +175,6 @@ def write_strip(
         exposure: factor before the view transform, the same for all.
         settings: what made the images, stored as the comment of the file; may be empty.
         columns: images in a row. Default: all.
-        view: view transform.
     """
     tiles = [Tile(displayed(radiance, exposure, view), caption) for caption, radiance in images]
     columns = columns or len(tiles)

@@ -106,7 +106,12 @@ def run_tasks(
 
 def tasks_at_once(executor: Executor) -> int:
     """How many tasks are submitted before the result of one is read."""
-    return _TASKS_PER_WORKER * _num_workers(executor)
+    workers = getattr(executor, "_max_workers", None)
+    if (client := getattr(executor, "_client", None)) is not None:  # of Dask
+        workers = sum(client.nthreads().values())
+    if not isinstance(workers, int) or workers <= 0:
+        workers = _ASSUMED_WORKERS
+    return _TASKS_PER_WORKER * workers
 
 
 def _results(
@@ -145,7 +150,6 @@ def _results(
 def _run(
     version: str, variant: str | None, function: Callable[..., R], arguments: tuple[Any, ...]
 ) -> tuple[R, list[str]]:
-    """Run a task in a worker; returns its result and the texts of its warnings."""
     if version != __version__:
         raise LumitreeError(
             f"a worker has lumitree {__version__}, but the tasks are of lumitree {version}; "
@@ -153,7 +157,7 @@ def _run(
         )
     with turn(), stopped_by_pool(), reporting(None):
         if variant is not None and "mitsuba" in sys.modules:
-            # What a worker has kept from an earlier task is of the variant that it was made with.
+            # Objects that a worker keeps from an earlier task belong to the variant of that task.
             load_mitsuba(variant)
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", LumitreeWarning)
@@ -183,11 +187,3 @@ def _explaining_loss(finished: int, what: str, total: int | None, remedy: str) -
         if isinstance(error, CancelledError):
             lost = "the connection to the workers was lost, or the tasks were cancelled there"
         raise LumitreeError(f"{lost}; {count} {what} are finished; {remedy}") from error
-
-
-def _num_workers(executor: Executor) -> int:
-    """Number of workers of an executor; a guess where it states none."""
-    workers = getattr(executor, "_max_workers", None)
-    if (client := getattr(executor, "_client", None)) is not None:  # of Dask
-        workers = sum(client.nthreads().values())
-    return workers if isinstance(workers, int) and workers > 0 else _ASSUMED_WORKERS

@@ -1,4 +1,4 @@
-"""Optional dependencies: those of the network and of clusters."""
+"""Optional dependencies, for the network and for clusters."""
 
 import importlib.util
 
@@ -29,11 +29,7 @@ def check_network() -> None:
 
 
 def check_cluster() -> None:
-    """Refuse to use a Dask scheduler without its package; imports nothing.
-
-    Raises:
-        LumitreeError: the package is not installed.
-    """
+    """Refuse to use a Dask scheduler without its package; imports nothing."""
     _check("a Dask scheduler needs", CLUSTER, "cluster")
 
 

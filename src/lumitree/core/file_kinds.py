@@ -1,4 +1,4 @@
-"""What a file is, by its first bytes and its suffix, for messages about a file of another kind."""
+"""The kind of a file, by its first bytes and its suffix, for messages about other kinds."""
 
 import codecs
 import os
@@ -50,13 +50,13 @@ _SUFFIXES = {
     ".json": "a JSON file",
 }
 _LOOKED_AT = 1 << 12
-# What may come before the root of XML; and roots of IES TM-33 and UNI 11733.
+# Text that may precede the root of XML; and roots of IES TM-33 and UNI 11733.
 _PROLOGUE = re.compile(rb"<\?.*?\?>|<!--.*?-->|\s+", re.DOTALL)
 _TM33_ROOT = re.compile(rb"<([\w.-]+:)?(IESTM33[\w.-]*|LuminaireOpticalData)[\s/>]")
 
 
 def what_it_is(path: str | os.PathLike[str], content: bytes | None = None) -> str | None:
-    """What a file is, such as "a PNG image"; None if that cannot be told.
+    """The kind of a file, such as "a PNG image"; None if it cannot be found.
 
     Args:
         path: a file or folder that exists; only regular files are opened.

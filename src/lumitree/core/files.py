@@ -32,7 +32,7 @@ from lumitree.errors import LumitreeError, shown
 TEMPORARY = ".lumitree-"
 # Temporary folders have names that begin so.
 SCRATCH = "lumitree-scratch-"
-# What the system says of a full disk; libraries repeat it in messages of their own.
+# Messages of the system about a full disk; libraries repeat them in their own.
 _FULL = {
     number: text
     for number in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -176,7 +176,6 @@ def _standard_stream(found: os.stat_result) -> int | None:
 
 
 def _send(content: Path, path: Path) -> None:
-    """Write the content of a file to a stream."""
     descriptor = _standard_stream(os.stat(path))
     # Behind what was printed before.
     for printed in (sys.stdout, sys.stderr):
@@ -230,7 +229,7 @@ def _create_locked(path: Path) -> tuple[int | None, Path]:
 def exclusive(path: Path, *, wait: bool = False) -> Iterator[bool]:
     """Context in which no other process holds `path`; yields False if one does.
 
-    While it is held, `path` is an empty file. What killed processes left is not in the way.
+    While it is held, `path` is an empty file. Files that killed processes left are not in the way.
 
     Args:
         wait: whether to wait until no other process holds it.

@@ -1,4 +1,4 @@
-"""What images state about how they were made: the comment of a PNG or OpenEXR file."""
+"""Settings that images state: the comment of a PNG or OpenEXR file."""
 
 import json
 from typing import Any

@@ -79,11 +79,7 @@ class Interruption:
 
 
 class _Block:
-    """A block of `interruptible`.
-
-    Attributes:
-        number: number of the signal by which the block is to end; None if there was none.
-    """
+    """A block of `interruptible`; `number` is the signal by which it is to end, or None."""
 
     def __init__(self, outer: "_Block | None") -> None:
         self.number: int | None = None
@@ -111,12 +107,10 @@ class _Block:
             self.end()
 
     def end(self) -> None:
-        """Raise `Interrupted` if a signal was received."""
         if self.number is not None:
             raise Interrupted(number=self.number)
 
     def close(self) -> None:
-        """Raise nothing from now on."""
         self._closed = True
         if self._outer is None:
             stop_repeating()

@@ -201,7 +201,7 @@ def coarse_solid_angles(resolution: int) -> NDArray[np.float64]:
 def intensity_of_histogram(flux: NDArray[np.float64]) -> NDArray[np.float64]:
     """Intensities of the bins of a histogram, with the flux of each channel.
 
-    Even light gets even intensities, since a bin's flux is that of its own directions alone.
+    Even light gets even intensities, since a bin's flux comes from its own directions alone.
 
     Args:
         flux: [C, R², 3], by cell, bin of `bin_of` and channel.

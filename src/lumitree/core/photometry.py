@@ -49,12 +49,7 @@ def luminance(rgb: ArrayLike) -> NDArray[np.float64]:
 
 
 def flux_from_radiance(radiance: Sequence[float], area: float) -> float:
-    """Luminous flux, lm, of a Lambertian surface.
-
-    Args:
-        radiance: R, G and B in W/(m² sr).
-        area: in m².
-    """
+    """Luminous flux, lm, of a Lambertian surface of RGB radiance in W/(m² sr) and area in m²."""
     return math.pi * area * float(luminance(radiance))
 
 

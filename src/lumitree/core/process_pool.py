@@ -38,7 +38,7 @@ from lumitree.core.system import (
 
 # Interval at which a worker looks at the flag of its pool, s.
 _LOOK_SECONDS = 0.2
-# Of OpenBLAS, MKL, Accelerate, and libraries that use OpenMP.
+# Variables of OpenBLAS, MKL, Accelerate, and libraries that use OpenMP.
 _BLAS_VARIABLES = (
     "OPENBLAS_NUM_THREADS",
     "MKL_NUM_THREADS",
@@ -128,14 +128,7 @@ class _Process(SpawnProcess):
 
 
 class _Context(SpawnContext):
-    """Start method of a pool.
-
-    Args:
-        threads: that each process is to compute with.
-
-    Attributes:
-        made: its processes.
-    """
+    """Start method of a pool whose processes compute with so many threads each."""
 
     def __init__(self, threads: int) -> None:
         super().__init__()

@@ -53,12 +53,12 @@ class Advance(Protocol):
 class _Display:
     """The default callback: a bar on a terminal or in a notebook, else a line every 15 seconds.
 
-    A task within another one has a bar below that of the other.
+    A task within another one has a bar below the bar of the other.
     """
 
     def __init__(self) -> None:
         self._bar: Any = None
-        # Bars by level: that of the outermost task first.
+        # Bars by level, from the outermost task's.
         self._rows: list[Any] = []
         self._logged = 0.0
 
@@ -103,7 +103,6 @@ class _Display:
             )
 
     def _remove_rows(self, first: int) -> None:
-        """Remove the bars of this level and of those within it."""
         for row in self._rows[first:]:
             self._bar.remove_task(row)
         del self._rows[first:]
@@ -155,7 +154,7 @@ def progress(description: str, total: float, done: float = 0) -> Iterator[Advanc
 
     def report(finished: bool) -> None:
         seconds = time.monotonic() - start
-        # Of the second half alone: the first units of work may compile kernels, or be kept.
+        # Uses the second half alone: the first units of work may compile kernels, or be kept.
         while len(earlier) > 1 and earlier[1][0] <= seconds / 2:
             earlier.popleft()
         then, first = earlier[0]

@@ -21,7 +21,7 @@ from lumitree.core.text import check_utf8
 from lumitree.errors import LumitreeError, shown
 
 _T = TypeVar("_T", bound=str | int)
-# What NumPy raises for damaged archives: also RuntimeError if a flag marks one as encrypted, and
+# Exceptions of NumPy for damaged archives: also RuntimeError if a flag marks one as encrypted, and
 # TypeError if the file is a single array.
 _DAMAGED_ARCHIVE = (
     OSError,

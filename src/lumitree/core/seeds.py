@@ -18,7 +18,7 @@ MAX_SEED = 2**31 - 1
 
 
 class Purpose(enum.IntEnum):
-    """What random numbers are for. A number is part of the seed: append, and never renumber."""
+    """Purpose of random numbers. A number is part of the seed: append, and never renumber."""
 
     CAPTURE = 0  # images of a dataset; step: Halton index
     PREVIEW = 1  # images of a preview; step: view

@@ -1,4 +1,4 @@
-"""What differs between operating systems.
+"""Differences between operating systems.
 
 Only this module imports what POSIX systems alone have. Elsewhere, as on Windows, files are not
 locked: two processes may do the same work twice, and temporary files that killed processes left
@@ -35,7 +35,7 @@ _BREAK: int | None = getattr(signal, "SIGBREAK", None)
 _STOP = (signal.SIGINT, _BREAK or signal.SIGTERM, TERMINAL_CLOSED)
 # The signals that ask a job to stop.
 STOP_SIGNALS: tuple[int, ...] = tuple(number for number in _STOP if number is not None)
-# What `repeat` sends to this process: its alarm clock, or a signal that nobody else sends.
+# Signal that `repeat` sends to this process: its alarm clock, or one that nobody else sends.
 REPEATED: signal.Signals = getattr(signal, "SIGALRM", signal.SIGTERM)
 # The signal by which the pool of `process_pool` stops a task.
 TASK_STOP: signal.Signals = getattr(signal, "SIGBREAK", signal.SIGTERM)
@@ -47,7 +47,7 @@ WAIT_SECONDS: float | None = 0.2 if fcntl is None else None
 MAX_WORKERS = 61 if fcntl is None else 1024
 # Whether the shell replaces patterns such as *.ies by the names of files.
 SHELL_EXPANDS = fcntl is not None
-# What ends the name of a folder.
+# Endings of the name of a folder.
 SEPARATORS = ("/", os.sep)
 # Files that a desktop adds to folders by itself.
 DESKTOP_FILES = frozenset({".DS_Store", "desktop.ini", "Thumbs.db"})
@@ -59,7 +59,7 @@ _RESERVED = re.compile(
 )
 # For so long other processes may have a file open, such as an indexer of its folder, s.
 _PATIENCE_SECONDS = 2.0
-# Of `OpenProcess` and `WaitForSingleObject`.
+# Constants of `OpenProcess` and `WaitForSingleObject`.
 _SYNCHRONIZE, _ACCESS_DENIED, _WAIT_TIMEOUT = 0x00100000, 5, 0x102
 R = TypeVar("R")
 # The thread that repeats a signal where there is no timer, by the event that ends it.
@@ -163,7 +163,7 @@ def _is_running(kernel: Any, process: int) -> bool:
     """As `is_running`, by the functions of Windows."""
     handle = kernel.OpenProcess(_SYNCHRONIZE, False, ctypes.c_uint32(process))
     if not handle:
-        # Of a process of another user nothing else is known.
+        # Nothing else is known of a process of another user.
         return ctypes.get_last_error() == _ACCESS_DENIED  # type: ignore[attr-defined]
     try:
         return kernel.WaitForSingleObject(handle, 0) == _WAIT_TIMEOUT

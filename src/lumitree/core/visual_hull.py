@@ -55,13 +55,11 @@ def _footprint(
     pose: NDArray[np.float64],
     size: int,
 ) -> tuple[NDArray[np.int32], int]:
-    """Projection of cells onto one axis of a view.
+    """Projection of cells onto one axis of a view, with the pose `local_from_camera`.
 
     Args:
         cells: [3, N] indices in a grid of `shape` over the box of half extents `half`.
         slope: [4] pixels per local unit along x, y and z; the last element is not used.
-        pose: `local_from_camera`.
-        size: pixels per side of the view.
 
     Returns:
         Pixel [N] of each cell's centre, and half the width of its footprint with the margin, in

@@ -269,7 +269,6 @@ _process_folders: dict[str, Path] = {}
 
 
 def _process_folder() -> Path:
-    """The folder of all `ScratchFolder` of this process."""
     root = tempfile.gettempdir()
     folder = _process_folders.get(root)
     # Old temporary files are removed on many systems.
@@ -350,11 +349,7 @@ def check_new_folder(path: Path) -> None:
 
 @contextlib.contextmanager
 def _written_beside(output: Path, name: Path | None = None) -> Iterator[Path]:
-    """Yield a folder on the disk of `output`; remove it afterwards, with what is left in it.
-
-    Args:
-        name: of the output in messages; by default `output`.
-    """
+    """Yield a folder on the disk of `output`; remove it afterwards, with what is left in it."""
     name = output if name is None else name
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
@@ -402,7 +397,7 @@ def _remove_abandoned(folder: Path) -> None:
     """Remove a temporary folder that no running process has locked."""
     # The folder may be another user's, or another process may be making or removing it.
     with contextlib.suppress(OSError):
-        # Of a process that was killed before it made the marker.
+        # Left by a process that was killed before it made the marker.
         os.rmdir(folder)
     with contextlib.suppress(OSError):
         handle = os.open(folder / MARKER, os.O_RDWR)

@@ -1,1 +1,1 @@
-"""What turns traced light into an asset: the octree, the light field, the network."""
+"""Fits of an asset to traced light: the octree, the light field, the network."""

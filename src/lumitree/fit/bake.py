@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from lumitree.lamp.luminaire import Luminaire, LuminaireLike
     from lumitree.lamp.sent import LampWorkers
 
-# What `bake` does not take, and the functions for it.
+# Sources that `bake` does not take, and the functions for them.
 _OTHERS = {
     "photometric": ("a photometric file", "bake_photometric"),
     "dataset": ("the folder of a dataset", "bake_views"),
@@ -121,7 +121,6 @@ def _bake(
     work: FilePath | None,
     workers: "LampWorkers | None",
 ) -> BakeResult:
-    """`bake` of a luminaire that is loaded, with the state in a folder that is open."""
     from lumitree.fit.light_field.bake import bake_light_field
     from lumitree.fit.octree import bake as octree_fit
     from lumitree.rendering.asset_flux import with_light

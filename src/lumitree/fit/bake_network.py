@@ -358,7 +358,6 @@ def _bake_light_field(
     watch: Stopwatch,
     workers: "LampWorkers | None" = None,
 ) -> "LightField":
-    """`bake_light_field`, and the time that it takes."""
     from lumitree.fit.light_field.bake import bake_light_field
 
     with watch.stage("light"):
@@ -374,7 +373,7 @@ def _extract(
     lamp: "Luminaire | None" = None,
     irradiance_paths: int = 0,
 ) -> BakeResult:
-    """As `extract`, with a light field; compares the irradiance with that of a lamp."""
+    """As `extract`, with a light field; compares the irradiance with a lamp's."""
     from lumitree.fit.network.trained_field import load_field
     from lumitree.octree.extract import extract as extract_octree
 

@@ -30,18 +30,13 @@ def finish_bake(
     """Write an asset with the spectrum of its luminaire, and compare the irradiance around both.
 
     Args:
-        output: path of the file to write; None: no file is written.
         watch: measures the stage "irradiance"; all its times become the result's.
         luminaire: what was baked; None: the asset keeps its spectrum, and the irradiance is not
             compared.
         irradiance_paths: as for `measure_irradiance`.
-        stopped_by: number of the signal that interrupted the bake; the irradiance is not compared
-            then.
+        stopped_by: number of the signal that interrupted the bake, or of one that arrives here: the
+            asset is written then, but the irradiance is not compared.
         figures: other fields of the result.
-
-    Returns:
-        The result. `stopped_by` is set if a signal arrived here, too: the asset is written then,
-        but its irradiance is not known.
     """
     if luminaire is not None:
         from lumitree.trace.emitted_spectrum import emitted_spectrum
@@ -76,13 +71,6 @@ def finish_bake(
 def remove_state(
     folder: WorkFolder, work: FilePath | None, result: BakeResult, names: Iterable[str]
 ) -> None:
-    """Remove the saved state of a bake, unless it is not finished or its folder is the user's.
-
-    Args:
-        folder: holds the state.
-        work: folder that the user chose, or None.
-        result: of the bake.
-        names: patterns of what to remove, as for `WorkFolder.remove`.
-    """
+    """Remove the saved state of a bake, unless it is not finished or its folder is the user's."""
     if work is None and result.finished:
         folder.remove(names)

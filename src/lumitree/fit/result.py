@@ -70,7 +70,7 @@ class TrainResult(Result):
 
     Attributes:
         run: folder of the checkpoints.
-        steps: number of steps, including those of earlier calls.
+        steps: number of steps, including steps of earlier calls.
         psnr: PSNR on held-out rays, dB.
         psnr_black: PSNR of an all-black prediction of the same rays, dB.
         rays_per_second: training speed of this call.
@@ -88,5 +88,5 @@ class TrainResult(Result):
 
     @property
     def continues(self) -> str:
-        """What continues it, for messages."""
+        """Command or call that continues it, for messages."""
         return "the same command with --resume continues"

@@ -26,12 +26,9 @@ def work_folder_of(output: FilePath | None) -> Path:
 
 @contextlib.contextmanager
 def open_work_folder(output: FilePath | None, work: FilePath | None) -> Iterator[WorkFolder]:
-    """Context with the folder in which a bake keeps its state.
+    """Context with the folder in which a bake keeps its state: `work` if it is given.
 
-    Args:
-        output: the `.lumitree` file of the bake, or None.
-        work: the folder that the user chose. If it is None, the folder has the name of `output`
-            with the suffix `.work`, or is a temporary one if `output` is None too.
+    Else it has the name of `output` with the suffix `.work`, or is a temporary one without output.
 
     Raises:
         LumitreeError: the folder cannot be used; and for a `WriteError` that the block raises if

@@ -109,8 +109,7 @@ def _through(
 ) -> NDArray[np.float64]:
     """Mean transmittance [M] of the lines through each grid [M, R, R, R] along an axis.
 
-    Args:
-        steps: [M, R, 3] lengths of the grid's steps along each axis.
+    `steps` [M, R, 3] has the lengths of the grid's steps along each axis.
     """
     lengths = [steps[..., each] for each in range(3)]
     along = lengths.pop(axis)

@@ -212,7 +212,6 @@ def _nothing(recorded, *_):
 
 
 def _width(l_max: int) -> int:
-    """Coefficients of a leaf with their padding."""
     return -(-3 * num_coefficients(l_max) // _PACKET) * _PACKET
 
 

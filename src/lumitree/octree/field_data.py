@@ -1,4 +1,4 @@
-"""What a field is made of, on the host."""
+"""Arrays of a field, on the host."""
 
 from typing import Protocol
 

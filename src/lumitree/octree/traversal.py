@@ -196,7 +196,7 @@ class Octree:
         size = 1 << self.tree_depth
         half = mi.Point3f(self._half)
         inside = mi.Bool(active) & dr.all(dr.abs(point) <= half + _BORDER)
-        # What a lamp ends with, a canopy's top say, is on the border: within, not in the next cell.
+        # The end of a lamp, such as a canopy's top, is on the border: within, not in the next cell.
         point = dr.clip(point, -half, half - _BORDER)
         return self.leaf_at(mi.Vector3i(dr.floor((point + 1) * (size / 2))), inside)
 
@@ -234,7 +234,7 @@ class Octree:
         return entry, log_side
 
     def _find_box(self, ray, cell, active):
-        """What a ray meets in a cell: the entry, lower corner and side (grid units) of its box.
+        """Entry, lower corner and side (grid units) of the box that a ray enters in a cell.
 
         The box is a leaf, or an empty cube that begins with the cell.
         """
@@ -255,5 +255,4 @@ def _with(queue, place, item, active):
 
 
 def _leaf(entry):
-    """Index of the leaf that an entry of `wide_nodes` names."""
     return mi.UInt32((entry & ~int(LEAF)) >> 4)

@@ -61,10 +61,9 @@ def wide_nodes(children: NDArray[np.int32], tree_depth: int) -> list[NDArray[np.
 def _descend(
     children: NDArray[np.int32], nodes: NDArray[np.int32], bits: int
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """What is `bits` levels below nodes [N], or where the descent ended: [N, z, y, x].
+    """Entries of `children` [N, z, y, x] `bits` levels below nodes [N], or where the descent ended.
 
-    Returns:
-        Entries of `children`, and log2 of their sides in cells of the last level.
+    Also log2 of their sides in cells of the last level.
     """
     cells = np.arange(1 << bits)
     z, y, x = np.meshgrid(cells, cells, cells, indexing="ij")

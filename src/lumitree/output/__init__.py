@@ -1,4 +1,4 @@
-"""What is looked at elsewhere: previews, the viewer, lamps for other programs.
+"""Output for other programs and for people: previews, the viewer, exported lamps.
 
 `targets` has one module for each program. They share `point_lights`, which clusters a light field,
 `ies_profiles`, profiles of lights, `spots`, lights for Blender's importers, and `pbr`, which

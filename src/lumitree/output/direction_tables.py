@@ -52,11 +52,8 @@ def direction_tables(
 ) -> NDArray[np.float64]:
     """Intensities [S, H, 2H, 3] of lights by direction, between which Cycles is linear.
 
-    Each table has the flux of its light, channel by channel.
-
-    Args:
-        local_from_table: [3, 3] rotation from the frame of the table.
-        height: rows, H.
+    Each table has the flux of its light, channel by channel. `local_from_table` [3, 3] is the
+    rotation from the frame of the table.
     """
     fine = table_directions(height * _SUPERSAMPLED)
     rows = max(1, _DIRECTIONS // (fine.shape[1] * _SUPERSAMPLED))

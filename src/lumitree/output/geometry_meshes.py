@@ -24,8 +24,7 @@ Arrays = dict[str, NDArray[Any]]
 def geometry_meshes(geometry: AssetGeometry, to_frame: NDArray[np.float64]) -> list[Arrays]:
     """Arrays of each shape: `vertices`, `faces`, and `normals`, `texcoords` and `colours` if any.
 
-    Args:
-        to_frame: [4, 4] similarity, from the frame of the luminaire's file to another one.
+    `to_frame` [4, 4] is a similarity from the frame of the luminaire's file to another one.
     """
     # From the geometry's coordinates, in double precision: they may be far from the file's.
     matrix = to_frame @ geometry.file_from_geometry

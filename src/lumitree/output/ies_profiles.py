@@ -34,7 +34,6 @@ def light_distribution(
     """Luminous intensity of a light.
 
     Args:
-        name: of the luminaire.
         intensity: [R², 3] W/sr by octahedral bin.
         lumens: its flux, which the interpolated intensity has too.
         rotation: [3, 3], from the frame of the bins to one with y up.
@@ -72,12 +71,7 @@ class ProfiledLight:
 
 
 def profiled_lights(lights: PlacedLights, name: str) -> list[ProfiledLight]:
-    """Lights with profiles; channel by channel, each has the flux of its light.
-
-    Args:
-        lights: in the frame of a program with y up.
-        name: of the luminaire.
-    """
+    """Lights with profiles (y up); channel by channel, each has the flux of its light."""
     found = []
     for index, watts in enumerate(lights.watts):
         intensity = lights.local.intensity[index]

@@ -14,7 +14,7 @@ def relative_index(material: Json, default: float | None = None) -> float:
     return float(mi.traverse(mi.load_dict({"type": "dielectric", **plugin}))["eta"])
 
 
-# What an export that has no such factors says of them.
+# Message of an export that has no such factors.
 LOST_REFLECTANCE = "factors of what glass and plastic reflect are left out"
 
 
@@ -26,7 +26,7 @@ def has_reflectance_factor(material: Json) -> bool:
 
 
 def plastic_index(material: Json) -> float:
-    """Index of refraction of the coat of a plastic; by default that of Mitsuba."""
+    """Index of refraction of the coat of a plastic; by default Mitsuba's."""
     return relative_index(material, default=1.49)
 
 
@@ -42,7 +42,7 @@ def principled_index(material: Json) -> float:
 def clearcoat_roughness(material: Json) -> float:
     """Roughness of the clear coat of a principled material, the root of its alpha.
 
-    Of a texture of the gloss that of the mean.
+    A texture of the gloss counts as a gloss of 0.5.
     """
     gloss = material.get("clearcoat_gloss", 0.0)
     # As Mitsuba has it: alpha is 0.1 at gloss 0, and 0.001 at gloss 1.

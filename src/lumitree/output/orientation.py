@@ -10,12 +10,7 @@ _Z_FROM_Y = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 
 
 def turn_up(given: Up, wanted: Up) -> NDArray[np.float64]:
-    """Rotation [3, 3] from a frame with one axis up to a frame with another; x stays.
-
-    Args:
-        given: the axis that points up before.
-        wanted: the axis that points up after.
-    """
+    """Rotation [3, 3] from a frame with one axis up to a frame with another; x stays."""
     if given == wanted:
         return np.eye(3)
     return _Z_FROM_Y if wanted == "z" else _Z_FROM_Y.T

@@ -91,7 +91,7 @@ class PbrMaterial:
             the luminaire's file.
         opacity: part of the surface that is there.
         clearcoat, clearcoat_roughness, sheen: as in glTF.
-        normal: texture of normals in the tangent space; None for those of the mesh.
+        normal: texture of normals in the tangent space; None for the mesh's normals.
         two_sided: whether the back reflects as the front does.
         emission: radiance of the front, W/(m² sr), with the asset's gain; black for none.
     """
@@ -118,12 +118,8 @@ class PbrMaterial:
 class PbrMaterials:
     """Converts the materials of a geometry.
 
-    Args:
-        geometry: the geometry of an asset.
-        gain: [3] factors on the R, G and B of what it emits.
-
-    Attributes:
-        lost: one line for each property that is not carried over.
+    `gain` [3] is a factor on the R, G and B of its emission; `lost` has one line for each property
+    that is not carried over.
     """
 
     def __init__(self, geometry: AssetGeometry, gain: RGB = NO_GAIN) -> None:
@@ -162,7 +158,6 @@ class PbrMaterials:
         return convert(material)
 
     def _modified(self, kind: str, material: Json, found: PbrMaterial) -> PbrMaterial:
-        """A material with what the one around it changes."""
         if kind == "twosided":
             if len(material["nested"]) == 2:
                 self.lost.add("two-sided materials have that of the front on both sides")
@@ -268,7 +263,6 @@ class PbrMaterials:
         )
 
     def _mean(self, value: Any) -> float:
-        """A number, or the mean of a texture."""
         if not isinstance(value, dict):
             return float(value)
         self.lost.add("some textures of reflection and transmission are replaced by their mean")

@@ -22,11 +22,7 @@ Pixels = NDArray[np.uint8]
 class PbrImages:
     """PNG files of the images of an asset's geometry, each made once.
 
-    Args:
-        images: as in `AssetGeometry`.
-
-    Attributes:
-        files: content by a name without suffix, in the order in which they were made.
+    `files` has their content by a name without suffix, in the order in which they were made.
     """
 
     def __init__(self, images: Sequence[NDArray[Any]]) -> None:

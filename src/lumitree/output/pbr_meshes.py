@@ -49,7 +49,7 @@ class Surface:
 
     @property
     def tint(self) -> RGB:
-        """What light that crosses the surface is multiplied by, at normal incidence."""
+        """Factor on light that crosses the surface, at normal incidence."""
         absorption = np.array(self.material.absorption or (0.0, 0.0, 0.0))
         colour = np.array(self.material.colour.factor) * np.exp(-absorption * self.thickness)
         red, green, blue = colour.tolist()
@@ -59,8 +59,7 @@ class Surface:
 def surfaces_of(asset: Asset, turn: NDArray[np.float64]) -> tuple[list[Surface], list[str]]:
     """The surfaces of an asset, and one line for each property that they lack.
 
-    Args:
-        turn: [3, 3] rotation from the frame of the luminaire's file to that of the program.
+    `turn` [3, 3] is the rotation from the frame of the luminaire's file to the program's.
     """
     geometry = asset.geometry
     if geometry is None:
@@ -104,7 +103,7 @@ def textures_used(material: PbrMaterial) -> list[Json]:
 
 
 def _unit(normals: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Normals of length 1; those of length 0 point upwards."""
+    """Normals of length 1; normals of length 0 become upward normals."""
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     safe = np.where(length > 0, normals / np.maximum(length, 1e-30), [0.0, 1.0, 0.0])
     return safe.astype(np.float32)
@@ -118,7 +117,7 @@ def _is_closed(mesh: Arrays) -> bool:
 
 
 def _thickness(mesh: Arrays) -> float:
-    """Twice the enclosed volume over the area; that of a shell is the thickness of its wall."""
+    """Twice the enclosed volume over the area: for a shell, the thickness of its wall."""
     first, second, third = np.moveaxis(mesh["vertices"][mesh["faces"]].astype(np.float64), 1, 0)
     middle = mesh["vertices"].mean(axis=0, dtype=np.float64)
     cross = np.cross(second - first, third - first)

@@ -75,12 +75,9 @@ class PlacedLights:
 def place_lights(
     asset: Asset, turn: NDArray[np.float64], count: int, seed: int = 0
 ) -> PlacedLights:
-    """Point lights of an asset.
+    """At most `count` point lights of an asset.
 
-    Args:
-        turn: [3, 3] rotation from the frame of the luminaire's file to that of the program.
-        count: largest number of lights.
-        seed: root seed.
+    `turn` [3, 3] is the rotation from the frame of the luminaire's file to the program's.
 
     Raises:
         LumitreeError: the asset has no light field, or its gain is 0.
@@ -129,8 +126,8 @@ def _seeds(
 ) -> NDArray[np.float64]:
     """Points [S, 3] at which k-means begins, by k-means++ (Arthur and Vassilvitskii 2007).
 
-    They are those that `kmeans2` of SciPy chooses, in time that grows with the square of `count`.
-    There are fewer than `count` if there are fewer different points.
+    `kmeans2` of SciPy chooses the same, in time that grows with the square of `count`. There are
+    fewer than `count` if there are fewer different points.
     """
     from scipy.spatial.distance import cdist
 
@@ -150,12 +147,9 @@ def _seeds(
 def cluster_lights(
     field: LightField, half_extents: NDArray[np.float64], count: int, seed: int = 0
 ) -> PointLights:
-    """Point lights with the flux of a field, channel by channel.
+    """At most `count` point lights with the flux of a field, channel by channel.
 
-    Args:
-        half_extents: [3] of the luminaire's box; light starts inside it.
-        count: largest number of lights.
-        seed: root seed.
+    They are inside the luminaire's box of half extents [3].
     """
     cell, row = np.nonzero(np.unpackbits(field.lit, axis=1))
     bins = field.resolution**2

@@ -195,7 +195,6 @@ def preview(
 def _preview_asset(
     asset: Asset, sheet: FilePath | None, resolution: int, samples_per_pixel: int
 ) -> AssetPreviewResult:
-    """As `preview`, of an asset."""
     from lumitree.core.photometry import luminance
     from lumitree.output.preview_sheet import draw_preview, take_asset_preview
     from lumitree.rendering.asset_flux import asset_watts
@@ -237,7 +236,6 @@ def _preview_asset(
 
 
 def _facts(result: PreviewResult) -> list[str]:
-    """Lines of text for the contact sheet of a preview."""
     return [
         f"{result.triangles:,} triangles",
         f"{result.emitters} emitter" + ("" if result.emitters == 1 else "s"),

@@ -74,13 +74,7 @@ class Preview:
 
 
 def take_preview(luminaire: Luminaire, resolution: int, samples_per_pixel: int) -> Preview:
-    """Render the six views.
-
-    Args:
-        luminaire: the luminaire.
-        resolution: pixels per side.
-        samples_per_pixel: paths per pixel.
-    """
+    """Render the six views, with `resolution` pixels per side."""
     camera = Camera(luminaire, resolution, samples_per_pixel)
     images: dict[str, ViewImages] = {}
     seconds = []
@@ -103,11 +97,7 @@ def take_preview(luminaire: Luminaire, resolution: int, samples_per_pixel: int) 
 def take_asset_preview(asset: Asset, resolution: int, samples_per_pixel: int) -> Preview:
     """Render the six views of an asset, with the camera of its luminaire's preview.
 
-    Both opacities are that of `shown_images`. The camera's sphere contains the bounding box.
-
-    Args:
-        resolution: pixels per side.
-        samples_per_pixel: paths per pixel, if the asset has geometry.
+    Both opacities are the one of `shown_images`. The camera's sphere contains the bounding box.
     """
     radius = float(np.linalg.norm(asset.frame.half_extents))
     poses = _poses(radius)
@@ -131,16 +121,10 @@ def _poses(radius: float) -> list[NDArray[np.float64]]:
 def draw_preview(
     preview: Preview, title: str, facts: Sequence[str], *, baked: bool = False
 ) -> Sheet:
-    """Contact sheet with a column for each view.
+    """Contact sheet with a column for each view; `facts` are in the line below the title.
 
     Rows: the lamp in soft light, its own radiance at two exposures, geometric opacity and
-    straight-through opacity; of an asset the two are one.
-
-    Args:
-        preview: the images.
-        title: name of the luminaire.
-        facts: short texts for the line below the title.
-        baked: whether the preview is that of an asset.
+    straight-through opacity; of an asset, which is `baked`, the two are one.
     """
     exposure, stops, views = preview.exposure, preview.more_stops, preview.images.values()
     bright = exposure * 2**stops

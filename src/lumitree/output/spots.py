@@ -53,6 +53,8 @@ class Spot:
 
 def spots_of(lights: PlacedLights) -> list[Spot]:
     """Spots with the flux of the lights, channel by channel."""
+    from scipy.optimize import nnls
+
     resolution = lights.local.resolution
     directions, solid_angle = middle_directions(resolution), solid_angles(resolution)
     root, axes = np.sqrt(solid_angle), middle_directions(_AXES)
@@ -63,7 +65,7 @@ def spots_of(lights: PlacedLights) -> list[Spot]:
         shapes = np.concatenate([_shape(directions @ own.T, each) for each in _HALF_ANGLES], axis=1)
         # Flux of a spot over its intensity.
         size = np.repeat(np.pi * (1 - np.cos(np.radians(_HALF_ANGLES))), len(own))
-        flux = _weights(shapes * root[:, None], wanted * root) * size
+        flux = nnls(shapes * root[:, None], wanted * root)[0] * size
         flux[flux < _SMALLEST * flux.sum()] = 0
         intensity = watts.max() * flux / flux.sum() / size
         red, green, blue = (watts / watts.max()).tolist()
@@ -86,10 +88,3 @@ def _shape(cosine: NDArray[np.float64], half_angle: float) -> NDArray[np.float64
     border = math.cos(math.radians(half_angle))
     place = np.clip((cosine - border) / (1 - border), 0, 1)
     return place**2 * (3 - 2 * place)
-
-
-def _weights(shapes: NDArray[np.float64], wanted: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Weights [N], 0 or more, of the sum of shapes [B, N] that is nearest to the values [B]."""
-    from scipy.optimize import nnls
-
-    return np.asarray(nnls(shapes, wanted)[0], np.float64)

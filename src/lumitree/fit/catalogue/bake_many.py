@@ -122,7 +122,7 @@ def bake_many(
 def _jobs(
     root: Path, named: Mapping[str, LuminaireSource], config: BakeConfig, variant: str | None
 ) -> list[LampJob]:
-    """The bakes of luminaires by name; those of one kind share their settings and the text."""
+    """The bakes of luminaires by name; sources of one kind share settings and their text."""
     shared: dict[bool, tuple[BakeConfig, str]] = {}
     jobs = []
     for name, source in named.items():
@@ -135,12 +135,7 @@ def _jobs(
 
 
 class _Bakes:
-    """The bakes of a list.
-
-    Attributes:
-        lamps: their states, in the order of the list.
-        stopped_by: number of the signal that ended it; None if there was none.
-    """
+    """The bakes of a list: states of its lamps, and the signal that ended it, if any."""
 
     def __init__(self, jobs: Sequence[LampJob], index: FolderIndex | None) -> None:
         """Begin with all lamps "waiting"; `index` is written meanwhile."""

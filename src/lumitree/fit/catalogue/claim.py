@@ -38,13 +38,7 @@ _MAX_CLAIM_BYTES = 10_000
 
 @dataclasses.dataclass(frozen=True)
 class Owner:
-    """The process that has a claim.
-
-    Attributes:
-        host: name of its machine; empty if it is not known.
-        process: its number on that machine.
-        since: when it took the claim, s since 1970.
-    """
+    """Process with a claim: its machine ("" if unknown), number, and start (s since 1970)."""
 
     host: str
     process: int
@@ -91,7 +85,7 @@ def _take(path: Path) -> int | Owner:
     path.parent.mkdir(parents=True, exist_ok=True)
     while True:
         try:
-            # Of several processes only one makes the file, also where there are no locks.
+            # Only one of several processes makes the file, also where there are no locks.
             flags = os.O_RDWR | os.O_CREAT | os.O_EXCL
             handle, is_new = patiently(os.open, path, flags, 0o666), True
         except FileExistsError:
@@ -143,7 +137,7 @@ def _living(handle: int, locked: bool | None, folder: Path) -> Owner | None:
     ):
         return None
     with tempfile.NamedTemporaryFile(dir=folder) as file:
-        # The clock of the file system, which may be that of another machine.
+        # The clock of the file system, which may be another machine's.
         file.write(b"0")
         file.flush()
         now = os.fstat(file.fileno()).st_mtime
@@ -158,7 +152,7 @@ def _this_process() -> Owner:
 
 
 def _read(handle: int) -> Owner | None:
-    """What a claim says; None if its owner has not written it yet, or it is damaged."""
+    """Content of a claim; None if its owner has not written it yet, or it is damaged."""
     os.lseek(handle, 0, os.SEEK_SET)
     try:
         record = Record(parse_json(os.read(handle, _MAX_CLAIM_BYTES)), "claim")
@@ -187,7 +181,6 @@ def _renewed(path: Path) -> Iterator[None]:
 
 
 def _release(path: Path, handle: int) -> None:
-    """Close the file of a claim, and remove it unless another process has taken it."""
     owner, this = _read(handle), _this_process()
     try:
         # While it is locked, so that it is not a claim of another process.

@@ -56,23 +56,14 @@ class Part:
 
 @dataclasses.dataclass(frozen=True)
 class FolderLamp:
-    """A lamp of a folder, for its page.
-
-    Attributes:
-        lamp: as its record describes it.
-        image: name of the thumbnail in `INDEX_FILES`; None if there is none.
-    """
+    """A lamp of a folder, for its page; `image` is the thumbnail's name in `INDEX_FILES`."""
 
     lamp: BakedLamp
     image: str | None = None
 
 
 def check_folder(root: Path) -> None:
-    """Refuse a folder whose records are of a version that this lumitree does not read.
-
-    Raises:
-        LumitreeError: they are of a later version.
-    """
+    """Refuse a folder whose records are of a version that this lumitree does not read."""
     path = root / FOLDER_FILES / _VERSION_FILE
     if not os.path.exists(path):
         return
@@ -103,8 +94,8 @@ def write_part(root: Path, part: Part, names: Iterable[str]) -> None:
 def read_parts(root: Path) -> tuple[list[str], list[int], int]:
     """Lamps of the parts that have begun, numbers of those that have not, and number of all.
 
-    Of lists that were divided differently, the latest counts. 0 parts if none was divided. What a
-    damaged file lists is not known.
+    Of lists that were divided differently, the latest counts. 0 parts if none was divided. Names in
+    a damaged file are not returned.
     """
     entries = [
         (entry.stat().st_mtime_ns, int(found[1]), int(found[2]), entry.path)
@@ -157,7 +148,7 @@ class Records:
         return lamps
 
     def _cached(self, entry: os.DirEntry[str], name: str, read: Callable[[LampFiles], Any]) -> Any:
-        """What `read` reads of a file of a lamp; None if the file cannot be read."""
+        """Result of `read` for a file of a lamp; None if the file cannot be read."""
         try:
             found = entry.stat()
         except FileNotFoundError:
@@ -189,7 +180,6 @@ def recorded(files: LampFiles, lamp: BakedLamp, record: LampRecord) -> BakedLamp
 
 
 def _entries(folder: Path) -> list[os.DirEntry[str]]:
-    """Entries of a folder; none if it is missing."""
     try:
         with os.scandir(folder) as entries:
             return list(entries)

@@ -35,7 +35,7 @@ def check_index(path: Path) -> None:
 
 
 class FolderIndex:
-    """The pages of a folder: all lamps that have records, and those of a list that have none yet.
+    """The pages of a folder: all lamps that have records, and lamps of a list without a record.
 
     Several processes may write them. Each reads the records before, so that the last one has all.
     """
@@ -85,14 +85,13 @@ class FolderIndex:
             for name, each in self._records.lamps().items()
             # Of earlier settings, while the list does not say what became of the lamp.
             if (name not in own or own[name].lamp.state == "waiting")
-            # What failed, and no list has any more, would never be baked.
+            # Failed lamps that no list has any more would never be baked.
             and not (parts and each.lamp.state == "failed" and name not in found)
         }
         return sorted(found.values(), key=lambda each: (each.lamp.name.casefold(), each.lamp.name))
 
 
 def _write_changed(path: Path, content: bytes) -> None:
-    """Write a file if it has another content."""
     try:
         if path.stat().st_size == len(content) and path.read_bytes() == content:
             return
@@ -102,7 +101,6 @@ def _write_changed(path: Path, content: bytes) -> None:
 
 
 def _remove_pages(folder: Path, pages: Iterable[str]) -> None:
-    """Remove pages that are not in use any more."""
     used = {os.path.basename(name) for name in pages}
     left = [
         name

@@ -42,13 +42,7 @@ _MAX_SOURCE_BYTES = 1 << 32
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:
-    """What became of a lamp.
-
-    Attributes:
-        lamp: its state.
-        stopped_by: number of the signal that interrupted the bake; None if there was none.
-        owner: the process that works on it, if its state is "waiting".
-    """
+    """Final state of a lamp, the signal that stopped its bake, or the process that it waits for."""
 
     lamp: BakedLamp
     stopped_by: int | None = None
@@ -57,16 +51,7 @@ class Outcome:
 
 @dataclasses.dataclass(frozen=True)
 class LampJob:
-    """The bake of one lamp of a list.
-
-    Attributes:
-        folder: of the assets.
-        name: of the lamp and of its files.
-        source: what is baked.
-        config: settings that apply to it.
-        settings: the same as text; see `settings_text`.
-        variant: Mitsuba variant; see `bake`.
-    """
+    """The bake of one lamp of a list; `settings` is the text of `config`, see `settings_text`."""
 
     folder: Path
     name: str
@@ -83,7 +68,7 @@ class LampJob:
         )
 
     def here(self, outcome: Outcome) -> Outcome:
-        """What became of the lamp `elsewhere`, with the names that this process uses."""
+        """Outcome of the lamp `elsewhere`, with the names that this process uses."""
         lamp = outcome.lamp
         path = None if lamp.path is None else LampFiles(self.folder, self.name).asset
         lamp = dataclasses.replace(lamp, source=self.source.name, path=path)
@@ -144,7 +129,6 @@ class LampJob:
         return self._bake(files, progress)
 
     def _bake(self, files: LampFiles, progress: ProgressCallback | None) -> Outcome:
-        """Load the luminaire, and bake it if that has not been done."""
         read_at = time.time_ns()
         fingerprint, luminaire, paths = self._loaded()
         stamps = None if paths is None else stamps_of(paths, self.folder, read_at)

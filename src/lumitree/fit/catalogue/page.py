@@ -43,13 +43,7 @@ dd { margin: 0; text-align: right; }
 
 @dataclasses.dataclass(frozen=True)
 class _Place:
-    """Where a page is.
-
-    Attributes:
-        number: of the page, from 1.
-        count: of all pages.
-        root: prefix of links to the folder of the assets.
-    """
+    """Number of a page, from 1; number of all pages; prefix of links to the assets' folder."""
 
     number: int
     count: int

@@ -1,4 +1,4 @@
-"""What a folder of baked lamps holds of each: the asset, a thumbnail, and a record of its bake.
+"""Files of each baked lamp of a folder: the asset, a thumbnail, and a record of its bake.
 
 A record is one small file, so that writing one costs the same however many lamps there are, and a
 process that is killed damages none.
@@ -21,7 +21,7 @@ from lumitree.fit.sources import PHOTOMETRIC_SETTINGS
 from lumitree.lamp.builtin.registry import BUILTIN
 from lumitree.lamp.source import LuminaireSource, source_kind
 
-# Folder of the thumbnails and records, within that of the assets.
+# Folder of the thumbnails and records, within the assets' folder.
 INDEX_FILES = "index-files"
 RECORD, FAILURE = ".json", ".failed"
 VERSION = 2
@@ -44,7 +44,7 @@ class BakedLamp:
             interrupted before it, or while another process worked on it.
         path: file of the asset; None if none was written.
         error: why it failed; None if it did not.
-        seconds: wall time of its bake, with that of earlier calls.
+        seconds: wall time of its bake, including earlier calls.
         figures: `lumens`, `file_bytes`, `size` and `irradiance_rms`; empty if there is no asset.
     """
 
@@ -106,13 +106,7 @@ class LampRecord:
 
 
 class LampFiles:
-    """The files of one lamp in a folder.
-
-    Attributes:
-        folder: of the assets.
-        name: of the lamp.
-        asset: the file of the asset.
-    """
+    """The files of the lamp `name` in the folder of the assets."""
 
     def __init__(self, folder: Path, name: str) -> None:
         self.folder = folder
@@ -162,11 +156,7 @@ class LampFiles:
         write_json(self._within(FAILURE), {"version": VERSION, "error": reason})
 
     def write_image(self, asset: Asset, settings: str) -> str:
-        """Write the thumbnail of an asset; returns the suffix of its file.
-
-        Args:
-            settings: of the bake, as in a record.
-        """
+        """Write the thumbnail of an asset; returns the suffix of its file."""
         kind = thumbnail_kind()
         write_bytes(self._within(f".{kind}"), thumbnail(asset, json.loads(settings)))
         return kind
@@ -180,13 +170,7 @@ class LampFiles:
 
 
 def figures_of(asset: Asset, file_bytes: int, irradiance: dict[str, Any] | None) -> dict[str, Any]:
-    """Figures of a record.
-
-    Args:
-        asset: what was baked.
-        file_bytes: size of its file.
-        irradiance: of the result of the bake.
-    """
+    """Figures of a record; `irradiance` is taken from the result of the bake."""
     from lumitree.rendering.asset_flux import asset_lumens
 
     return {

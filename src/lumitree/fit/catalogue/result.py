@@ -36,7 +36,7 @@ class BakeManyResult(Result):
 
     @property
     def problem(self) -> str | None:
-        """What went wrong with lamps, in one line; None if none failed."""
+        """Errors of lamps, in one line; None if none failed."""
         if not self.failed:
             return None
         names = shown_names(lamp.name for lamp in self.failed)
@@ -65,7 +65,7 @@ class CollectResult(Result):
 
     @property
     def problem(self) -> str | None:
-        """What is missing, in one line; None if all lamps have been baked."""
+        """Missing lamps, in one line; None if all have been baked."""
         texts = {"failed": "failed", "interrupted": "interrupted", "waiting": "not baked yet"}
         parts = []
         for state, text in texts.items():

@@ -19,7 +19,7 @@ _UNSURE_NS = 2_000_000_000
 
 @dataclasses.dataclass(frozen=True)
 class FileStamp:
-    """What a file was when it was read.
+    """State of a file when it was read.
 
     Attributes:
         name: path relative to the folder of the assets.
@@ -85,11 +85,7 @@ class FileStamp:
 
 
 def read_stamp(value: Any) -> FileStamp:
-    """The inverse of `FileStamp.to_json`.
-
-    Raises:
-        LumitreeError: the value is something else.
-    """
+    """The inverse of `FileStamp.to_json`; refuses other values."""
     if type(value) is not list or len(value) != 4:
         raise LumitreeError("a file of a record is not a list of four values")
     record = Record(dict(zip(("name", "size", "modified", "digest"), value, strict=True)), "file")
@@ -132,10 +128,6 @@ def relative_name(path: str | Path, folder: Path) -> str:
 
 
 def file_digest(path: Path) -> str:
-    """SHA-256 of a file.
-
-    Raises:
-        OSError: it cannot be read.
-    """
+    """SHA-256 of a file."""
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

@@ -34,7 +34,7 @@ def thumbnail(asset: Asset, settings: Any) -> bytes:
     if thumbnail_kind() == "png":
         return encode_png(pixels, described)
     image, stream, exif = Image.fromarray(pixels), io.BytesIO(), Image.Exif()
-    # EXIF has no other characters than those of ASCII.
+    # EXIF has ASCII characters only.
     exif[_DESCRIPTION] = json.dumps(json.loads(described))
     image.save(stream, format="WEBP", quality=_QUALITY, method=4, exif=exif)
     return stream.getvalue()

@@ -82,16 +82,11 @@ def bake_light_field(
 
 
 def relative_noise(estimates: NDArray[np.float64]) -> float | None:
-    """Relative standard error of the mean of independent estimates, from their spread.
+    """Relative standard error of the mean of K independent estimates [K, R²], from their spread.
 
-    With K estimates I_k of mean Ī, the variance of Ī in a bin is Σ (I_k - Ī)² / (K (K - 1)).
-
-    Args:
-        estimates: [K, R²] luminous intensity in each bin of direction.
-
-    Returns:
-        Root mean square of the standard error over that of Ī, both over the sphere. None for K = 1
-        and for estimates without light.
+    The variance of the mean Ī in a bin is Σ (I_k - Ī)² / (K (K - 1)). The result is the root mean
+    square of the standard error over the root mean square of Ī, both over the sphere; None for
+    K = 1 and for estimates without light.
     """
     solid_angle, count = solid_angles(round(estimates.shape[1] ** 0.5)), len(estimates)
     mean = (1 / count * estimates).sum(axis=0)

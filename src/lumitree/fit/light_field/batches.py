@@ -25,12 +25,7 @@ LARGEST_GAIN = 8.0
 
 @dataclasses.dataclass(frozen=True)
 class PathBatch:
-    """Light paths that are traced at once, by cell and direction.
-
-    Attributes:
-        leaving: those that leave the luminaire; the flux is float32.
-        ending: their segments that end on the luminaire; likewise.
-    """
+    """Light paths that leave the luminaire, and segments that end on it; the flux is float32."""
 
     leaving: BinnedRays
     ending: BinnedSegments
@@ -40,14 +35,7 @@ class PathBatch:
 def path_batches(
     luminaire: Luminaire, config: LightFieldFitConfig, depth: int, workers: LampWorkers | None
 ) -> Iterator[Iterator[PathBatch]]:
-    """Context with all batches of a light field, in order.
-
-    Args:
-        luminaire: what is traced.
-        config: how.
-        depth: of the grid.
-        workers: what traces it. The batches are the same. Default: this process.
-    """
+    """Context with all batches of a light field, in order; equal with and without workers."""
     if workers is None:
         rays = LampRays(luminaire)
         yield (_traced(rays, config, depth, step) for step in range(num_batches(config)))

@@ -31,7 +31,7 @@ DISTANCES = np.hstack(
 ).astype(np.float32)
 
 
-# κ is that of the farthest distance as far as which the surfaces leave this part of the light.
+# κ is constant beyond the last distance at which at least this part of the light is unoccluded.
 # Farther, a ratio of what is left would be noise.
 _LEAST = 0.05
 
@@ -127,7 +127,6 @@ def make_entries(
     Memory: by entry 4 arrays of `DISTANCES`, here and in `encoded`; 0.4 GB for a million.
 
     Args:
-        field: the light field.
         cells: [C', 3] cells that have light that ends, each once, in any order.
         flux: [C', Q², 3] its flux.
         by_reach: [C', Q², K - 1] luminous flux of what ends between two distances.

@@ -19,15 +19,9 @@ LIGHT_FIELD_STATE = "light.lumitree"
 
 
 class SavedLightField:
-    """The file in a folder that holds the light field of one luminaire and one setting.
+    """The asset file in a folder that holds the light field of one luminaire and one setting.
 
-    It is an asset. In place of the luminaire's name it has a digest of the luminaire and of the
-    setting.
-
-    Args:
-        folder: the folder of the file.
-        luminaire: what is baked.
-        config: how.
+    In place of the luminaire's name it has a digest of the luminaire and of the setting.
     """
 
     def __init__(self, folder: Path, luminaire: Luminaire, config: LightFieldFitConfig) -> None:

@@ -36,15 +36,11 @@ _MAX_CROSSINGS = 64
 def unoccluded(
     luminaire: Luminaire, entries: Entries, seed: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Luminous flux [E, K] of (I + J) V by entry and distance: two independent estimates.
-
-    Args:
-        luminaire: whose surfaces block light.
-        entries: bins with light.
-        seed: root seed.
-    """
+    """Luminous flux [E, K] of (I + J) V by entry and distance: two independent estimates."""
     fine = _fine_bins(luminaire, entries)
-    first, second = (_beyond(_ends(luminaire, entries, fine, (seed, part))) for part in (0, 1))
+    ends = (_ends(luminaire, entries, fine, (seed, part)) for part in (0, 1))
+    # Sums of what ends at a distance or farther.
+    first, second = (each[:, ::-1].cumsum(axis=1, dtype=np.float32)[:, ::-1] for each in ends)
     return first, second
 
 
@@ -53,7 +49,6 @@ class _FineBins:
     """Fine bins [M] that emit, in the order of their entries.
 
     Attributes:
-        entry: of each.
         flux: luminous flux of I + J.
         bin: mi.UInt32, its index.
         corners: two mi.Point3f, of its cell, local units.
@@ -89,11 +84,6 @@ def _ends(
 
     A curve is a ratio, so that noise makes it too large. It must be low in bright bins, which may
     have a curve of their own.
-
-    Args:
-        luminaire, entries: as in `unoccluded`.
-        fine: their bins.
-        seed: root seed and part of the stream.
     """
     root, part = seed
     rays = _LEAST + (fine.flux / max(fine.flux.sum(), 1e-30) * _SHARED).astype(np.int64)
@@ -111,26 +101,12 @@ def _ends(
     return ends
 
 
-def _beyond(ends: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Sums [E, K] of what ends at a distance or farther."""
-    return ends[:, ::-1].cumsum(axis=1, dtype=np.float32)[:, ::-1]
-
-
 def _first_hits(
     luminaire: Luminaire, fine: _FineBins, of: NDArray[np.integer], resolution: int, seed: int
 ) -> NDArray[np.uint32]:
-    """The last distance before what rays of fine bins hit.
+    """Index [N] in `DISTANCES` of the last distance before what rays of the fine bins `of` [N] hit.
 
     They start anywhere in their cells, which they leave without a hit.
-
-    Args:
-        luminaire, resolution: as in `unoccluded`.
-        fine: bins.
-        of: [N] bin of each ray.
-        seed: of the rays.
-
-    Returns:
-        [N] index in `DISTANCES`.
     """
     random = mi.PCG32(len(of), initstate=dr.opaque(mi.UInt64, seed))
     index = on_device(mi.UInt32, of)

@@ -34,12 +34,7 @@ def hdr_loss(
 def colour_loss(
     predicted: jax.Array, radiance: jax.Array, max_radiance: float, config: TrainConfig
 ) -> jax.Array:
-    """The error of colours that the settings choose (`config.ColourLoss`), the mean over rays.
-
-    Args:
-        predicted, radiance, max_radiance: as for `hdr_loss`.
-        config: `colour_loss` and `stop_gradient`.
-    """
+    """The error of colours that the settings choose (`config.ColourLoss`), the mean over rays."""
     if config.colour_loss == "mse":
         error = (predicted - radiance) / max_radiance
         return jnp.mean(jnp.sum(error**2, axis=-1))
@@ -60,7 +55,7 @@ def total_loss(
     max_radiance: float,
     config: TrainConfig,
 ) -> jax.Array:
-    """L_c + L_f + L_opacity with equal weights (Eq. 7); L_opacity is that of the fine network.
+    """L_c + L_f + L_opacity with equal weights (Eq. 7); L_opacity uses the fine network's opacity.
 
     Without `config.supervise_opacity` L_opacity is left out.
     """

@@ -32,9 +32,6 @@ def fourier_features(positions: jax.Array, num_frequencies: int) -> jax.Array:
     """Positions [N, 3] with sin and cos of 2^k pi x for k < num_frequencies (NeRF, Eq. 4).
 
     Each octave is computed from the one before it by the double-angle formulas.
-
-    Returns:
-        [N, 3 + 6 num_frequencies].
     """
     features = [positions]
     sine, cosine = jnp.sin(jnp.pi * positions), jnp.cos(jnp.pi * positions)
@@ -47,12 +44,9 @@ def fourier_features(positions: jax.Array, num_frequencies: int) -> jax.Array:
 class NerfSH(nnx.Module):
     """One network: position to density and coefficients (Sec. 4.2, "Network architecture").
 
-    Args:
-        config: numbers and sizes of the layers.
-        initial_emission: constant emission before training, as a fraction of max_radiance in
-            (0, 1). It should be typical of the luminaire, which is far below 1 for HDR radiance:
-            the loss divides by the prediction, so too strong an emission decreases slowly.
-        rngs: random numbers for the initial weights.
+    `initial_emission` is the constant emission before training, as a fraction of max_radiance in
+    (0, 1). It should be typical of the luminaire, which is far below 1 for HDR radiance: the loss
+    divides by the prediction, so too strong an emission decreases slowly.
     """
 
     def __init__(self, config: TrainConfig, initial_emission: float, rngs: nnx.Rngs) -> None:

@@ -82,10 +82,6 @@ def occupied_bins(
     K is the largest number of cells along an axis. Half a bin is then shorter than a cell along
     every axis. As the hull was dilated by one cell, one lookup at the centre of a bin suffices.
 
-    Args:
-        occupancy: the grid.
-        origins, directions: [R, 3], local frame; directions of travel, unit length.
-
     Returns:
         Occupied [R, K], distance [R] at which the ray enters the box, and length [R] of a bin.
     """
@@ -110,11 +106,7 @@ def save_occupancy(path: str | os.PathLike[str], occupancy: Occupancy) -> None:
 
 
 def load_occupancy(path: str | os.PathLike[str]) -> Occupancy:
-    """Read what `save_occupancy` wrote.
-
-    Raises:
-        LumitreeError: the file is missing or damaged.
-    """
+    """Read what `save_occupancy` wrote; refuses a missing or damaged file."""
     try:
         arrays = read_arrays(path, "bits", "shape", "half_extents")
     except LumitreeError as error:
@@ -134,7 +126,6 @@ def load_occupancy(path: str | os.PathLike[str]) -> Occupancy:
 
 
 def _dilate(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Cells with their 26 neighbours."""
     for axis in range(3):
         front = np.moveaxis(cells, axis, 0)
         wide = front.copy()

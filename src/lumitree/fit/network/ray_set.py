@@ -103,12 +103,8 @@ class RaySet:
 def load_rays(dataset: Dataset, kind: OpacityKind, skip_empty: bool) -> tuple[RaySet, Occupancy]:
     """Read all views and keep the rays that cross an occupied part of the box.
 
-    All other rays have radiance 0 and opacity 0, in the captured views and in the field.
-
-    Args:
-        dataset: training views.
-        kind: which captured opacity supervises the field.
-        skip_empty: use the visual hull; otherwise the whole box counts as occupied.
+    All other rays have radiance 0 and opacity 0, in the captured views and in the field. Without
+    `skip_empty` the whole box counts as occupied.
 
     Raises:
         LumitreeError: views are missing or damaged, or all of them are black.
@@ -129,7 +125,9 @@ def load_rays(dataset: Dataset, kind: OpacityKind, skip_empty: bool) -> tuple[Ra
             view.frame.pose, manifest.half_width, manifest.resolution
         )
         geometry.append(_view_geometry(origins, direction))
-        kept.append(np.flatnonzero(_crossing(occupancy, origins, direction)))
+        # Row by row, because the bins of a whole view take gigabytes.
+        crossing = _crossing_rows(occupancy, jnp.asarray(origins), jnp.asarray(direction))
+        kept.append(np.flatnonzero(np.asarray(crossing)))
     if (count := sum(map(len, kept))) < 2:
         rays = "one ray" if count else "no ray"
         raise LumitreeError(
@@ -161,14 +159,6 @@ def _view_geometry(
     column_step = (origins[0, -1] - origins[0, 0]) / steps
     row_step = (origins[-1, 0] - origins[0, 0]) / steps
     return origins[0, 0], column_step, row_step, direction
-
-
-def _crossing(
-    occupancy: Occupancy, origins: NDArray[np.float32], direction: NDArray[np.float32]
-) -> NDArray[np.bool_]:
-    """Whether each ray of a view [H, H, 3] crosses an occupied part of the box, [H · H]."""
-    # Row by row, because the bins of a whole view take gigabytes.
-    return np.asarray(_crossing_rows(occupancy, jnp.asarray(origins), jnp.asarray(direction)))
 
 
 @jax.jit

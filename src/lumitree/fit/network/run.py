@@ -30,23 +30,14 @@ CHECKPOINTS = "checkpoints"
 # Patterns of what is in a run's folder. A checkpoint is a folder named after its step.
 RUN_FILES = (RECORD, OCCUPANCY, HISTORY, f"{CHECKPOINTS}/[0-9]*")
 VERSION = 1
-# Of a checkpoint, beside its arrays; about.
+# Size of a checkpoint beside its arrays, about.
 _METADATA_BYTES = 1 << 18
 _MAX_RECORD_BYTES, _MAX_PATH = 1 << 20, 1 << 14
 
 
 @dataclasses.dataclass(frozen=True)
 class RunRecord:
-    """What extraction needs in addition to the weights, so that the dataset is not needed.
-
-    Attributes:
-        config: settings of the run; its law and l_max are those of the field.
-        dataset: folder of the training views.
-        fingerprint: fingerprint of the luminaire that the dataset shows.
-        luminaire: name of the luminaire.
-        max_radiance: L_max, > 0.
-        frame: the luminaire's local frame.
-    """
+    """Settings and dataset of a run that extraction needs in addition to the weights."""
 
     config: TrainConfig
     dataset: str
@@ -122,11 +113,7 @@ def has_checkpoint(folder: Path) -> bool:
 
 
 def save_checkpoint(folder: Path, manager: ocp.CheckpointManager, step: int, state: Any) -> None:
-    """Write the state after `step` steps, atomically, unless it was already written.
-
-    Raises:
-        WriteError: the disk is full or not writable.
-    """
+    """Write the state after `step` steps, atomically, unless it was already written."""
     if manager.latest_step() == step:
         return
     try:
@@ -155,11 +142,7 @@ def remove_unfinished(folder: Path, made: bool) -> None:
 
 
 def restore_checkpoint(folder: Path, template: Any) -> Any:
-    """The newest state of a run.
-
-    Args:
-        folder: folder of the run.
-        template: tree of arrays whose shapes and types the state must have.
+    """The newest state of a run; its arrays must have the shapes and types of the template's.
 
     Raises:
         LumitreeError: there is no checkpoint, or the newest is damaged or does not match.

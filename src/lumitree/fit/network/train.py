@@ -227,7 +227,6 @@ class _Loop:
         return f"loss {loss:.3g}, PSNR {quality:.2f} dB, {rate / 1000:.1f} k rays/s"
 
     def _save_or_warn(self, done: int, state: TrainState) -> None:
-        """Save a checkpoint; training continues if that fails."""
         try:
             self._save(done, state)
         except LumitreeError as error:

@@ -25,18 +25,9 @@ _CPU_CHUNK, _GPU_CHUNK = 4096, 1 << 18
 
 @dataclasses.dataclass(frozen=True)
 class TrainedField:
-    """The fine network of a run.
+    """The fine network of a run; the emission is max_radiance · sigmoid(sum of coefficient · Y).
 
-    Attributes:
-        law: transmittance law.
-        l_max: highest band.
-        max_radiance: L_max; the emission is max_radiance * sigmoid(sum of coefficient * Y).
-        frame: the luminaire's local frame.
-        luminaire: name of the luminaire.
-        num_steps: number of training steps.
-        planned_steps: number of those of the whole run.
-        occupancy: cells that may be occupied; density is 0 outside of them.
-        emission_weights: weights of the emission along a ray that it was trained with.
+    The density is 0 outside the cells of `occupancy`.
     """
 
     law: Law

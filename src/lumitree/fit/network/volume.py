@@ -28,7 +28,7 @@ class Chord(NamedTuple):
 
     Attributes:
         near: [R] distance at which the ray enters the box.
-        bin_length: [R] length of a bin, local units.
+        bin_length: [R], local units.
         counts: [R, K] number of occupied bins up to and including each bin.
         length: [R] occupied length S.
     """
@@ -70,7 +70,6 @@ def stratified_edges(length: jax.Array, num_intervals: int, key: jax.Array | Non
 
     Args:
         length: [R] occupied length S.
-        num_intervals: N.
         key: PRNG key of the jitter; None for equal intervals.
     """
     steps = jnp.broadcast_to(jnp.arange(num_intervals + 1.0), (*length.shape, num_intervals + 1))
@@ -86,16 +85,12 @@ def importance_samples(
     """Samples from a piecewise-constant distribution, by its inverse cumulative function.
 
     Interval i has the probability (1 - UNIFORM_SHARE) w_i / sum(w), plus UNIFORM_SHARE times its
-    part of the length. The distribution is uniform if all weights are 0.
+    part of the length. The distribution is uniform if all weights are 0. Returns [R, M] increasing
+    values of s, without gradient, stratified; centres of the strata without a key.
 
     Args:
         edges: [R, N + 1].
         weights: [R, N], >= 0.
-        num_samples: M; the samples are stratified.
-        key: PRNG key; None for the centres of the strata.
-
-    Returns:
-        [R, M] increasing values of s, without gradient.
     """
     edges, weights = jax.lax.stop_gradient((edges, weights))
     widths = jnp.diff(edges, axis=-1)
@@ -131,8 +126,6 @@ def composite(
         density: [R, N], >= 0, per local unit.
         phi: [R, N, 3] emission.
         widths: [R, N] local units.
-        law: transmittance law.
-        kind: of the weights.
     """
     tau = jnp.cumsum(density * widths, axis=-1)
     after = transmittance(tau, law, jnp)

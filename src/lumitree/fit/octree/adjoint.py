@@ -1,6 +1,6 @@
 """The adjoint of `LeafField.integrate`: derivatives, and sums by leaf over many rays.
 
-Each function traverses the rays a second time. Symbols are those of `leaf_field`, and
+Each function traverses the rays a second time. Symbols are as in `leaf_field`, and
 
     dL          derivative of the loss by L
     g           w Phi (1 - Phi), derivative of w Phi by the logit of Phi
@@ -56,7 +56,7 @@ def gradients(
         depth, tau, after = field.cross(tau, leaf, length, active)
         weight = through - after
         visible = active & (weight > MIN_WEIGHT)
-        # Of thin leaves too: Adam follows the sign of the smallest gradient.
+        # Also for thin leaves: Adam follows the sign of the smallest gradient.
         emission = field.emission(leaf, y, active)
         seen = dr.select(visible, seen + weight * emission, seen)
         if field.law == "linear":
@@ -78,11 +78,7 @@ def gradients(
 
 
 def depth_gradient(field: LeafField, origin: Any, direction: Any, d_depth: Any) -> Any:
-    """The derivative by log density (mi.Float [M]) of a loss that depends on T alone.
-
-    Args:
-        d_depth: as in `gradients`.
-    """
+    """The derivative by log density (mi.Float [M]) of a loss that depends on T alone."""
     by_density = ExactSum(field.num_leaves, _MAX_DEPTH * total_of(dr.width(origin), d_depth))
 
     def shade(state, leaf, start, length, active):
@@ -95,11 +91,7 @@ def depth_gradient(field: LeafField, origin: Any, direction: Any, d_depth: Any) 
 
 
 def accumulate_by_weight(field: LeafField, origin: Any, direction: Any, value: Any) -> Any:
-    """For each leaf the sum over rays of its weight times a value (mi.Float [M]).
-
-    Args:
-        value: mi.Float of each ray.
-    """
+    """For each leaf the sum over rays of its weight times their value, mi.Float (mi.Float [M])."""
     total = ExactSum(field.num_leaves, total_of(dr.width(origin), value))
 
     def shade(state, leaf, start, length, active):

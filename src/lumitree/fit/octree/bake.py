@@ -47,14 +47,9 @@ Start = Callable[[], tuple[LeafField, float]]
 
 @dataclasses.dataclass(frozen=True)
 class OctreeFitResult:
-    """What a bake returns.
+    """The best field after the closing calibration, and its score on the held-out rays.
 
-    Attributes:
-        asset: the best field, after the closing calibration.
-        score: of the asset on the held-out rays.
-        rays: rays of the descent, with those of the runs that this one continued.
-        seconds: the same for time.
-        stopped_by: number of the signal that ended the bake early; None if none did.
+    Rays and seconds include the runs that this one continued.
     """
 
     asset: Asset
@@ -227,11 +222,7 @@ def _continued_seed(asset: Asset, seed: int) -> int:
 
 
 def _visible_radiance(source: TracedRays, config: OctreeFitConfig) -> float:
-    """`TracedRays.max_radiance` of pixels as wide as the smallest leaves.
-
-    Raises:
-        LumitreeError: it is 0.
-    """
+    """`TracedRays.max_radiance` of pixels as wide as the smallest leaves; refuses 0."""
     max_radiance = source.max_radiance(2 / (1 << config.tree_depth), config.max_radiance)
     if not max_radiance > 0:
         raise LumitreeError(
@@ -243,7 +234,6 @@ def _visible_radiance(source: TracedRays, config: OctreeFitConfig) -> float:
 
 
 def _first_field(source: TracedRays, config: OctreeFitConfig, max_radiance: float) -> LeafField:
-    """The calibrated first estimate."""
     level = min(config.tree_depth, config.estimate.max_level)
     cells = grow(source, level, config.estimate)
     if not len(cells):
@@ -270,7 +260,6 @@ def _hull_field(source: StoredRays, config: OctreeFitConfig) -> LeafField:
 
 
 def _empty_field(config: OctreeFitConfig, source: RaySource) -> LeafField:
-    """A field without leaves."""
     none = np.zeros((0, 3), np.int64)
     return _field(config, source, none, none[:, 0], none[:, 0], np.zeros(0))
 

@@ -88,7 +88,6 @@ def _solve(
         residual, matrix: r [C, 3, K] and M [C, 3, K, K] of all rays.
         difference: of r_0 between two halves of the rays [C, 3].
         above: [C] for each level, index of the cell of that level that holds a cell.
-        config: the levels, and the prior.
     """
     total = np.zeros_like(residual)
     for level in range(config.coarsest_level, config.finest_level + 1):
@@ -122,7 +121,7 @@ def _moments(
     """r [C, 3, K] and M [C, 3, K, K] of the leaves' cells ([M]), from new rays."""
     rays = source.draw(config.rays, stream, field.meets, config.light_paths_per_ray)
     if not dr.width(rays.share):
-        # Of few rays none may meet a leaf.
+        # If rays are few, none may meet a leaf.
         shape = int(cell.max()) + 1, 3, harmonics
         return np.zeros(shape), np.zeros((*shape, harmonics))
     light = rays.light * dr.opaque(mi.Float, 1 / max_radiance)

@@ -180,7 +180,7 @@ class CalibrationConfig(_Settings):
 class FluxConfig(_Settings):
     """The flux correction factor (`flux_correction`).
 
-    Its noise is that of the rays, so that light paths may be few.
+    The noise of rays dominates, so that light paths may be few.
 
     Attributes:
         draws: draws; together they estimate the factor to ±0.5 %, one alone to ±1.5 %.

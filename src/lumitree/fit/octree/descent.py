@@ -53,21 +53,7 @@ class Budget:
 
 
 class Descent:
-    """The descent of one bake.
-
-    Args:
-        refiner: the field and its optimiser.
-        best: the best field so far.
-        source: where rays come from.
-        max_radiance: L_max of the field.
-        held_out: the rays that fields are scored on.
-        budget: what is spent already, and what for.
-        config: settings of the bake.
-        state_file: where the state is saved.
-
-    Attributes:
-        best, best_score: the field with the highest rank of its score, and that score.
-    """
+    """The descent of one bake; `best` is the field with the highest rank of its score."""
 
     def __init__(
         self,

@@ -1,4 +1,4 @@
-"""The flux correction factor: total flux of the luminaire over that of the field."""
+"""The flux correction factor: total flux of the luminaire over the field's total flux."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -13,11 +13,9 @@ from lumitree.fit.octree.ray_source import RaySource
 
 
 class FluxCorrection(NamedTuple):
-    """The flux correction.
+    """Factor on L_max that gives the field the total flux of the source; 1 where either is 0.
 
-    Attributes:
-        factor: on L_max, which gives the field the total flux of the source; 1 where either is 0.
-        beyond: part of the flux of the source that is radiance above L_max, which no field has.
+    `beyond` is the part of the source's flux that is radiance above L_max, which no field has.
     """
 
     factor: float
@@ -32,13 +30,9 @@ def flux_correction(
     step: int,
     over: Callable[[], bool] | None = None,
 ) -> FluxCorrection:
-    """The flux correction of a field.
+    """The flux correction of a field with L_max `max_radiance`, made by `step` steps of descent.
 
-    Args:
-        max_radiance: L_max of the field.
-        config: how many rays; with fewer draws the factor is less precise.
-        step: steps of descent that made the field.
-        over: no second draw is made once it returns true.
+    No second draw is made once `over` returns true; with fewer draws the factor is less precise.
     """
     traced, shown, beyond = 0.0, 0.0, 0.0
     for draw in range(config.draws):

@@ -14,12 +14,10 @@ from lumitree.fit.octree.ray_source import RaySource
 
 @dataclasses.dataclass(frozen=True)
 class Score:
-    """How good a field is on rays that it does not learn from.
+    """Accuracy of a field on rays that it does not learn from, dB.
 
-    Attributes:
-        psnr: of radiance / L_max (the asset's), dB.
-        uncertainty: half the width of its 68 % interval, dB.
-        opacity_psnr: of the transmittance, dB.
+    `psnr` is of radiance / L_max (the asset's), `uncertainty` half the width of its 68 % interval,
+    and `opacity_psnr` of the transmittance.
     """
 
     psnr: float
@@ -63,10 +61,7 @@ class HeldOut:
         return HeldOut(pairs.origin, pairs.direction, a, b, pairs.transmittance)
 
     def rescaled(self, factor: float) -> "HeldOut":
-        """The same for an L_max that is `factor` times as large.
-
-        What was clipped to the former L_max stays so.
-        """
+        """The same for an L_max `factor` times as large; clipped values stay clipped."""
         a, b = (dr.minimum(value * (1 / factor), 1) for value in (self.first, self.second))
         return dataclasses.replace(self, first=a, second=b)
 

@@ -132,8 +132,7 @@ class LeafStatistics:
     def fit_radiance(self, prior: list[list[Any]] | None) -> list[list[Any]]:
         """Fits [3][K] of radiance by Cholesky's decomposition of each leaf's normal equations.
 
-        Args:
-            prior: [3][K] coefficients that each leaf is shrunk towards; None for 0.
+        Each leaf is shrunk towards the coefficients `prior` [3][K]; None for 0.
         """
         # The mean of Y Y^T over the sphere is 1 / (4 pi) on the diagonal.
         base, per_band = self._config.prior_paths, self._config.prior_band_paths

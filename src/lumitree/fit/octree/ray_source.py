@@ -1,4 +1,4 @@
-"""What a bake learns from: batches of rays with their radiance and transmittance.
+"""Data of a bake: batches of rays with their radiance and transmittance.
 
 Rays are uniform in dA cos(theta) domega, the measure in which flux is the integral of radiance.
 The loss of a field is an integral over rays that has the radiance to be learned in first power
@@ -41,12 +41,9 @@ class Rays:
 
 @dataclasses.dataclass
 class RayPairs:
-    """Rays with two independent noisy estimates of all their radiance.
+    """Rays with two independent noisy estimates of all their radiance (mi.Color3f).
 
-    Attributes:
-        origin, direction: as in `Rays`.
-        first, second: mi.Color3f.
-        transmittance: mi.Float, straight-through throughput.
+    `transmittance` (mi.Float) is the straight-through throughput; the rest is as in `Rays`.
     """
 
     origin: Any
@@ -58,13 +55,7 @@ class RayPairs:
 
 @dataclasses.dataclass(frozen=True)
 class Subject:
-    """What the rays show.
-
-    Attributes:
-        name: of the luminaire.
-        fingerprint: identifies its content.
-        frame: its local frame.
-    """
+    """Luminaire that the rays show."""
 
     name: str
     fingerprint: str
@@ -80,13 +71,13 @@ class RaySource(Protocol):
 
     @property
     def subject(self) -> Subject:
-        """What the rays show."""
+        """The luminaire that the rays show."""
         ...
 
     def draw(
         self, count: int, stream: SeedStream, wanted: Wanted, light_paths_per_ray: float
     ) -> Rays:
-        """Of `count` random rays those that are wanted, and light paths.
+        """The wanted ones of `count` random rays, and light paths.
 
         Args:
             light_paths_per_ray: light paths traced for each of the `count` rays.
@@ -94,7 +85,7 @@ class RaySource(Protocol):
         ...
 
     def draw_opacity(self, count: int, stream: SeedStream, wanted: Wanted) -> tuple[Any, Any, Any]:
-        """Origin, direction and transmittance of those of `count` random rays that are wanted."""
+        """Origin, direction and transmittance of the wanted ones of `count` random rays."""
         ...
 
     def draw_pairs(self, count: int, stream: SeedStream, paths: int) -> RayPairs:

@@ -18,11 +18,9 @@ _LATTICE_STEPS = [round(2**32 * 1.1127756842787055**-power) for power in range(1
 
 
 class RayTiles:
-    """Uniform rays through the proxy box.
+    """Uniform rays through the proxy box of half extents [3], local units.
 
-    Args:
-        half_extents: [3] the proxy box, local units.
-        spacing: distance of neighbouring rays of a tile, local units.
+    `spacing` is the distance of neighbouring rays of a tile, local units.
     """
 
     def __init__(self, half_extents: NDArray[np.float64], spacing: float) -> None:

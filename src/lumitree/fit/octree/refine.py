@@ -32,19 +32,7 @@ from lumitree.octree.build import child_cells
 
 
 class Refiner:
-    """A field being refined, with the state of its optimiser.
-
-    Args:
-        field: where to start.
-        source: where rays come from.
-        max_radiance: L_max of the field.
-        config: the descent.
-        splitting: which leaves are split and dropped.
-
-    Attributes:
-        field: the field as it is.
-        step: number of steps done.
-    """
+    """A field being refined, with the state of its optimiser, after `step` steps."""
 
     def __init__(
         self,
@@ -210,12 +198,7 @@ class Refiner:
 
 
 class Adam:
-    """Adam's moments of one flat array; Kingma and Ba 2015.
-
-    Args:
-        size: of the array.
-        mean_decay, square_decay: beta_1 and beta_2.
-    """
+    """Adam's moments of one flat array; the decays are beta_1 and beta_2 of Kingma and Ba 2015."""
 
     def __init__(self, size: int, mean_decay: float, square_decay: float) -> None:
         self._decays = mean_decay, square_decay

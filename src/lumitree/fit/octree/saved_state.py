@@ -30,12 +30,7 @@ class OtherBakeError(LumitreeError):
 
 @dataclasses.dataclass(frozen=True)
 class SavedState:
-    """What a folder holds of a bake.
-
-    Attributes:
-        seconds, rays: spent so far.
-        max_radiance: L_max of the field.
-    """
+    """Saved state of a bake, with the time and rays spent so far."""
 
     seconds: float
     rays: int
@@ -51,11 +46,7 @@ class SavedState:
 class StateFile:
     """The file in which the state of one bake is kept.
 
-    Args:
-        folder: the folder of the file.
-        subject: what is baked.
-        config: how. A state is only continued with an equal one, except that the budget may be
-            another.
+    A state is only continued with equal settings, except that the budget may differ.
     """
 
     def __init__(self, folder: Path, subject: Subject, config: OctreeFitConfig) -> None:
@@ -122,11 +113,7 @@ class StateFile:
 
 
 def _check(arrays: dict[str, NDArray[Any]], config: OctreeFitConfig) -> None:
-    """Refuse arrays that are not those of a state.
-
-    Raises:
-        LumitreeError: one is missing, or has a wrong type, shape or range.
-    """
+    """Refuse arrays that are missing, or have a wrong type, shape or range."""
     terms = num_coefficients(config.l_max)
     leaves, best = (arrays.get(name, np.zeros(0)).shape[:1] for name in ("levels", "best_levels"))
     padded = tuple(count * padded_width(config.l_max) for count in leaves)

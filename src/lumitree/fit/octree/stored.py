@@ -24,12 +24,8 @@ from lumitree.fit.octree.ray_source import RayPairs, Rays, Subject, Wanted
 class StoredRays:
     """Rays through the pixels of a dataset's views; a ray is anywhere in its pixel.
 
-    All pixels are held in memory, 20 bytes each.
-
-    Args:
-        dataset: views with radiance and straight-through opacity.
-        held_out_stride: one view in this many is held out for the score, at least one.
-        seed: root seed of all random numbers, see `core.seeds`.
+    All pixels are held in memory, 20 bytes each. One view in `held_out_stride` is held out for the
+    score, at least one.
 
     Raises:
         LumitreeError: there are fewer than two views, or they are black.
@@ -63,7 +59,7 @@ class StoredRays:
     def draw(
         self, count: int, stream: SeedStream, wanted: Wanted, light_paths_per_ray: float = 0
     ) -> Rays:
-        """Of rays through `count` random pixels of the training views, those that are wanted.
+        """The wanted ones of rays through `count` random pixels of the training views.
 
         They hold all the light; `light_paths_per_ray` is ignored.
         """

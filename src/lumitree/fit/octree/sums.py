@@ -20,15 +20,9 @@ _MAX_EXPONENT = 126
 
 
 class ExactSum:
-    """An array of sums on the device.
+    """An array of sums on the device, in multiples of about 2^-62 of a bound.
 
-    Args:
-        size: number of sums.
-        bound: at least the sum of the absolute values of all that will be added; the sums are
-            multiples of this times about 2^-62.
-
-    Raises:
-        LumitreeError: the bound is NaN or infinite.
+    The bound is at least the sum of the absolute values of all that will be added, and finite.
     """
 
     def __init__(self, size: int, bound: float) -> None:
@@ -58,11 +52,7 @@ class ExactSum:
 
 
 def total_of(count: int, *values: Any) -> float:
-    """A bound for `ExactSum`: the sum of absolute values over `count` rays.
-
-    Args:
-        values: mi.Float or mi.Color3f, of each ray, or one for all.
-    """
+    """A bound for `ExactSum`: sum over `count` rays of absolute values, mi.Float or mi.Color3f."""
     total = 0.0
     for value in values:
         copies = count if dr.width(value) == 1 else 1

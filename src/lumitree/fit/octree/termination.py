@@ -28,8 +28,7 @@ class TerminatedRays:
 
     Attributes:
         origin, direction: the ray, local frame.
-        point: mi.Point3f, termination point, local frame; without meaning where there is none.
-        terminated: mi.Bool; false where the ray passes through.
+        point: mi.Point3f, local frame; without meaning where `terminated` (mi.Bool) is false.
         radiance: mi.Color3f, of the emitters seen through smooth transmission.
     """
 
@@ -43,11 +42,6 @@ class TerminatedRays:
 @dr.syntax
 def trace_to_termination(scene, sampler, ray):
     """Follow rays by transmissions alone, each chosen at random, until they terminate or leave.
-
-    Args:
-        scene: mi.Scene of the luminaire.
-        sampler: mi.Sampler, seeded for as many rays.
-        ray: mi.Ray3f, frame of the scene.
 
     Returns:
         Termination point (mi.Point3f, frame of the scene), whether there is one (mi.Bool), and
@@ -91,7 +85,7 @@ def trace_to_termination(scene, sampler, ray):
         onwards = spawn(si, si.to_world(sample.wo), extent)
 
         bent = dr.dot(ray.d, straight) < COSINE_OF_CONE
-        # What leaves in another direction is not behind the luminaire: it was deflected inside.
+        # Light leaving in another direction is not behind the luminaire: it was deflected inside.
         deflected = active & ~collides & ~si.is_valid() & bent & (crossings > 0)
         ends = deflected | collides | (hits & (~transmits | (dr.max(throughput) <= 0)))
         last = dr.select(collides, ray(flight), dr.select(deflected, ray.o, si.p))

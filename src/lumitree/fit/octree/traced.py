@@ -37,10 +37,7 @@ class _Part(enum.IntEnum):
 class TracedRays:
     """Random rays of a luminaire, as many as needed; equal seeds and streams give equal rays.
 
-    Args:
-        luminaire: what is traced.
-        spacing: distance of neighbouring rays of a tile, local units.
-        seed: root seed of all random numbers, see `core.seeds`.
+    Neighbouring rays of a tile are `spacing` apart, in local units.
     """
 
     def __init__(self, luminaire: Luminaire, spacing: float, seed: int = 0) -> None:
@@ -67,7 +64,7 @@ class TracedRays:
     def draw(
         self, count: int, stream: SeedStream, wanted: Wanted, light_paths_per_ray: float
     ) -> Rays:
-        """Of `count` random rays those that are wanted, and light paths.
+        """The wanted ones of `count` random rays, and light paths.
 
         Args:
             light_paths_per_ray: light paths traced for each of the `count` rays.
@@ -94,7 +91,7 @@ class TracedRays:
         return rays
 
     def draw_opacity(self, count: int, stream: SeedStream, wanted: Wanted) -> tuple[Any, Any, Any]:
-        """Origin, direction and transmittance of those of `count` random rays that are wanted."""
+        """Origin, direction and transmittance of the wanted ones of `count` random rays."""
         rays = self._wanted_rays(count, stream, wanted)
         if not dr.width(rays[0]):
             return *rays, mi.Float()
@@ -193,5 +190,4 @@ class TracedRays:
 
 
 def _join(first: Any, second: Any) -> Any:
-    """One vector array after the other."""
     return type(first)(*(dr.concat(values) for values in zip(first, second, strict=True)))

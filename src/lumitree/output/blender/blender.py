@@ -30,11 +30,10 @@ runpy.run_path(sys.argv[0], run_name="__main__")
 
 
 def find_blender(program: str | os.PathLike[str] | None) -> str:
-    """Path of the program that runs scripts.
+    """Path of the program that runs scripts: Blender, or a Python with `bpy`.
 
-    Args:
-        program: Blender, or a Python with `bpy`; None for `blender` on the search path, or else
-            this Python if it has `bpy`.
+    Without a name, `blender` on the search path, one that an installer put elsewhere, or this
+    Python if it has `bpy`.
 
     Raises:
         LumitreeError: there is none.
@@ -79,13 +78,7 @@ def run_script(
     output: Path,
     limit: float = _LIMIT,
 ) -> None:
-    """Run a script.
-
-    Args:
-        program: from `find_blender`.
-        arguments: of the script.
-        output: file that the script writes.
-        limit: seconds after which it is ended.
+    """Run a script that writes `output`, for at most `limit` seconds.
 
     Raises:
         LumitreeError: it failed, with the last line that it printed; or it wrote nothing.

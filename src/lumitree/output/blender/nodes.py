@@ -48,7 +48,7 @@ def math(operation: str, *values: Any) -> Json:
 
 
 def mix_shaders(share: Any, first: Json, second: Json) -> Json:
-    """Tree of a mixture: `share` is that of the second."""
+    """Tree of a mixture: `share` is the part of the second."""
     return node("ShaderNodeMixShader", {0: share, 1: first, 2: second})
 
 

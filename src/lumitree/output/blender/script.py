@@ -28,13 +28,7 @@ _NAME_BYTES = 48
 
 @dataclasses.dataclass(frozen=True)
 class LampScript:
-    """A lamp for Blender.
-
-    Attributes:
-        text: of the script.
-        lights: number of point lights.
-        lost: one line for each property of the lamp that is not carried over.
-    """
+    """Text of a lamp's script, its number of point lights, and one line for each property lost."""
 
     text: str
     lights: int
@@ -42,12 +36,7 @@ class LampScript:
 
 
 def make_script(asset: Asset, lights: int, up: Up, seed: int = 0) -> LampScript:
-    """The script of an asset.
-
-    Args:
-        lights: largest number of point lights.
-        up: the axis of the luminaire's file that points up.
-        seed: root seed.
+    """The script of an asset, with at most `lights` point lights; `up` is the axis of its file.
 
     Raises:
         LumitreeError: the asset has no light field.
@@ -68,13 +57,7 @@ def make_script(asset: Asset, lights: int, up: Up, seed: int = 0) -> LampScript:
 
 
 def geometry_script(geometry: AssetGeometry, name: str, up: Up) -> LampScript:
-    """The script of surfaces alone, without point lights.
-
-    Args:
-        geometry: of the surfaces.
-        name: of the collection.
-        up: the axis of the geometry that points up.
-    """
+    """The script of surfaces alone, without point lights; `name` is the collection's."""
     surfaces = Surfaces(geometry)
     description, arrays = _surface_data(geometry, surfaces, turn_up(up, "z"))
     description |= {"name": _short(name), "radius": 1.0, "lights": []}
@@ -89,7 +72,6 @@ def _short(name: str) -> str:
 def _surface_data(
     geometry: AssetGeometry, surfaces: Surfaces, z_up: NDArray[np.float64]
 ) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Materials and meshes of a geometry, in Blender's frame."""
     meshes = geometry_meshes(geometry, similarity(z_up))
     description = {
         "surfaces": list(map(surfaces.tree, geometry.shapes, meshes)),
@@ -103,7 +85,6 @@ def _surface_data(
 
 
 def _filled(description: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> str:
-    """The template with the data in it."""
     template = (resources.files("lumitree.output.blender") / "lamp_script.py").read_text("utf-8")
     head, tail = template.split("@@DATA@@")
     return head + _block(description, arrays) + tail

@@ -40,7 +40,7 @@ from lumitree.output.optics import (
     relative_index,
 )
 
-# What Cycles has no equal for, by plugin.
+# Properties without an equal in Cycles, by plugin.
 _LOST = {
     "thindielectric": "thin glass reflects and transmits without multiple reflections",
     "conductor": "metals have their reflectance at normal incidence for all angles",
@@ -92,11 +92,7 @@ class Surfaces:
         return add_shaders(surface, node("ShaderNodeEmission", inputs))
 
     def _surface(self, material: Json, normal: Json | None) -> Json:
-        """Tree of a material.
-
-        Args:
-            normal: tree of the shading normal; None for that of the mesh.
-        """
+        """Tree of a material; `normal` is the tree of the shading normal, None for the mesh's."""
         kind = material["type"]
         if kind in _LOST:
             self.lost.add(_LOST[kind])
@@ -229,7 +225,6 @@ class Surfaces:
         return min(float(np.sqrt(alpha)), 1.0)
 
     def _value(self, value: Any) -> Any:
-        """A number or a colour as it is, a texture as a tree."""
         if not isinstance(value, dict):
             return value
         return texture(value)
@@ -261,7 +256,6 @@ def _product(colour: Any, factors: Sequence[float]) -> Any:
 
 
 def _times(first: Any, second: Any) -> Json:
-    """Tree of the product of two colours."""
     attributes = {"data_type": "RGBA", "blend_type": "MULTIPLY"}
     inputs = {"Factor": 1.0, 6: first, 7: second}
     return node("ShaderNodeMix", inputs, attributes, output=2)

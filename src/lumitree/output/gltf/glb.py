@@ -17,14 +17,9 @@ _ALIGNMENT = 4
 
 
 class Glb:
-    """A file that grows call by call.
-
-    Attributes:
-        json: the JSON object, without `buffers` and `extensionsUsed`.
-    """
+    """A file that grows call by call; `json` lacks `buffers` and `extensionsUsed`."""
 
     def __init__(self, generator: str) -> None:
-        """An empty file with one scene."""
         asset = {"version": "2.0", "generator": generator}
         self.json: Json = {"asset": asset, "scene": 0, "scenes": [{"nodes": []}]}
         self._data = bytearray()

@@ -54,7 +54,6 @@ def lamp_glb(
 
 
 def _add_surface(glb: Glb, index: int, surface: Surface, materials: GltfMaterials) -> int:
-    """Add a mesh with its material; returns the index of its node."""
     arrays, name = surface.mesh, f"surface{index}"
     attributes = {"POSITION": glb.accessor(arrays["vertices"], VERTICES)}
     if "normals" in arrays:
@@ -75,7 +74,6 @@ def _add_surface(glb: Glb, index: int, surface: Surface, materials: GltfMaterial
 
 
 def _add_light(glb: Glb, index: int, light: ProfiledLight | Spot) -> int:
-    """Add a light; returns the index of its node."""
     name, colour = f"light{index}", list(light.colour)
     point: Json = {"type": "point", "name": name, "color": colour, "intensity": light.candela}
     node: Json = {"name": name, "translation": light.position.tolist(), "rotation": _TURN}

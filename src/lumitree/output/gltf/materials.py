@@ -20,15 +20,7 @@ _DEFAULT_INDEX = 1.5
 
 
 class GltfMaterials:
-    """Adds materials to a file.
-
-    Args:
-        glb: the file.
-        images: of the geometry.
-
-    Attributes:
-        lost: one line for each property that is not carried over.
-    """
+    """Adds materials to a file; `lost` has one line for each property that is not carried over."""
 
     def __init__(self, glb: Glb, images: PbrImages) -> None:
         self._glb, self._images = glb, images
@@ -196,7 +188,6 @@ class GltfMaterials:
 
 
 def _image_of(layer: Layer) -> Json | None:
-    """The texture of a layer, if it is an image."""
     found: Any = layer.texture
     return found if found is not None and "image" in found else None
 

@@ -42,12 +42,7 @@ _ONE_COLOUR = 0.01
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Image:
-    """Intensity of a light of one colour.
-
-    Attributes:
-        colour: [3] linear sRGB of the light.
-        watts: W/sr [N, N] by row and column, which are multiplied by `colour`.
-    """
+    """Intensity of a light of one colour: linear sRGB [3] times W/sr [N, N] by row and column."""
 
     colour: NDArray[np.float64]
     watts: NDArray[np.float64]
@@ -70,11 +65,7 @@ def equal_area_directions(side: int) -> NDArray[np.float64]:
 
 
 class _Images:
-    """Makes the images of lights.
-
-    Args:
-        lights: in the frame of the scene.
-    """
+    """Makes the images of lights, which are in the frame of the scene."""
 
     def __init__(self, lights: PlacedLights) -> None:
         self._lights = lights

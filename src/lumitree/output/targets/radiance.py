@@ -95,7 +95,6 @@ def _write(request: ExportRequest, folder: Path) -> Written:
 
 
 def _map(lights: PlacedLights) -> str:
-    """The function file of the tables."""
     # Radiance's rays go to the light, so the direction of its light is -D.
     rows = [
         " ".join(f"{-value:+.9f}*D{axis}" for value, axis in zip(row, "xyz", strict=True))
@@ -119,7 +118,6 @@ def _write_table(file: TextIO, lights: PlacedLights, channel: int) -> None:
 
 
 def _scene(luminaire: str, stem: str, lights: PlacedLights) -> Iterator[str]:
-    """Lines of the scene file."""
     radius = _RADIUS * lights.scale
     radiance = f"{1 / (np.pi * radius**2):.9g}"
     yield f"# {shown(luminaire)}: {len(lights.position)} point lights, written by lumitree."

@@ -23,7 +23,7 @@ TARGETS: dict[str, Target] = {
 
 
 def find_target(output: FilePath) -> Target:
-    """The target of an output: by its suffix, or that for folders if it ends in a slash.
+    """The target of an output: by its suffix, or the one for folders if it ends in a slash.
 
     Raises:
         LumitreeError: there is none.

@@ -1,4 +1,4 @@
-"""What a target of `lumitree export` is given, and what it returns."""
+"""The request to a target of `lumitree export`, and its result."""
 
 import dataclasses
 import hashlib
@@ -23,13 +23,11 @@ LOST_IN_BLENDER = (
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class ExportRequest:
-    """What is exported, and how.
+    """The asset to export, and the settings of the export.
 
     Attributes:
         asset: the asset, near the origin of its file.
-        lights: largest number of point lights.
         up: the axis that points up in the luminaire's file.
-        seed: root seed of the clusters of lights.
         blender: the program that the user named to run scripts of Blender, or None.
         importer: the program that reads the file, if it needs other values than the format's.
         name: file name of the output, without folders; other files have names derived from it.
@@ -63,7 +61,7 @@ class ExportRequest:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Written:
-    """What a target wrote.
+    """The output of a target.
 
     Attributes:
         units: one line: the units of lengths and of light.

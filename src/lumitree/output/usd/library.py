@@ -9,11 +9,7 @@ _MODULES = ("Gf", "Kind", "Sdf", "Tf", "Usd", "UsdGeom", "UsdLux", "UsdShade", "
 
 
 def load_usd() -> Any:
-    """The package `pxr`, whose modules state no types.
-
-    Raises:
-        LumitreeError: it is not installed.
-    """
+    """The package `pxr`, whose modules state no types; refuses to go on without it."""
     try:
         library: Any = importlib.import_module("pxr")
         for name in _MODULES:

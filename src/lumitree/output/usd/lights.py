@@ -26,14 +26,10 @@ _ALL_DIRECTIONS = 180.0
 
 
 class LightWriter:
-    """Defines the lights of a lamp in a stage.
+    """Defines the lights of a lamp in a stage with y up and lengths in metres, below a parent.
 
-    Args:
-        pxr: the library.
-        stage: of OpenUSD, with y up and lengths in metres.
-        parent: path of the prim that holds the lights.
-        hidden: path of what casts no shadow in their light.
-        radius: half the lamp's longest side, m.
+    `hidden` is the path of what casts no shadow in their light, `radius` half the lamp's longest
+    side, m.
     """
 
     def __init__(self, pxr: Any, stage: Any, parent: str, hidden: str, radius: float) -> None:
@@ -57,7 +53,8 @@ class LightWriter:
         prim.CreateNormalizeAttr(True)
         intensity = INTENSITY_PER_CANDELA * light.candela
         prim.CreateColorAttr(self._pxr.Gf.Vec3f(*light.colour))
-        prim.CreateExtentAttr(self._extent())
+        corners = np.array([[-self._radius] * 3, [self._radius] * 3], np.float32)
+        prim.CreateExtentAttr(self._pxr.Vt.Vec3fArray.FromNumpy(corners))
         if isinstance(light, Spot):
             x, y, z, w = light.rotation
             prim.AddOrientOp().Set(self._pxr.Gf.Quatf(w, x, y, z))
@@ -78,7 +75,3 @@ class LightWriter:
         # All that the lamp hides is in its profiles.
         linked = lux.LightAPI(prim.GetPrim()).GetShadowLinkCollectionAPI()
         linked.CreateExcludesRel().AddTarget(self._hidden)
-
-    def _extent(self) -> Any:
-        corners = np.array([[-self._radius] * 3, [self._radius] * 3], np.float32)
-        return self._pxr.Vt.Vec3fArray.FromNumpy(corners)

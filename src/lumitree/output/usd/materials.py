@@ -15,12 +15,9 @@ _CUT = 0.5
 
 
 class MaterialWriter:
-    """Defines materials in a stage.
+    """Defines materials in a stage, below a parent.
 
-    Args:
-        place: where shaders are defined.
-        parent: path of the prim that holds the materials.
-        materialx: whether materials have `standard_surface` too, where that is short.
+    With `materialx` they have a `standard_surface` too, where it is short.
     """
 
     def __init__(self, place: ShaderPlace, parent: str, *, materialx: bool) -> None:
@@ -56,7 +53,6 @@ class MaterialWriter:
                 shader.colour("emission_color", emission.factor)
 
     def _preview(self, shader: Shader, material: PbrMaterial) -> None:
-        """The inputs of a UsdPreviewSurface."""
         lost = self._place.lost
         shader.coloured("diffuseColor", _diffuse(shader.surface))
         shader.numbered("metallic", material.metallic)
@@ -94,7 +90,7 @@ class MaterialWriter:
 
 
 def _diffuse(surface: Surface) -> Layer:
-    """The colour; that of clear glass is what its tint has above its least channel.
+    """The colour; for clear glass, the part of its tint above the least channel.
 
     What is not transparent of a surface is diffuse here: near a lamp grey glass would glow.
     """
@@ -120,7 +116,6 @@ def _is_plain(material: PbrMaterial) -> bool:
 
 
 def _standard(shader: Shader, material: PbrMaterial) -> None:
-    """The inputs of a `standard_surface`."""
     metal = material.metallic.number
     shader.number("base", metal)
     shader.colour("base_color", material.colour.factor)

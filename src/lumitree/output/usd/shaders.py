@@ -23,9 +23,6 @@ class ShaderPlace:
     """Where shaders are defined, and the images of their textures.
 
     Attributes:
-        pxr: the library.
-        stage: of OpenUSD.
-        images: of the geometry.
         image_path: path of an image beside the stage, by its name in `images`.
         lost: one line for each property that is not carried over; shaders add to it.
     """
@@ -38,14 +35,7 @@ class ShaderPlace:
 
 
 class Shader:
-    """A shader of a material.
-
-    Args:
-        place: of all shaders.
-        path: of its prim; those of its textures begin with it.
-        name: of the kind of shader.
-        surface: that it is for.
-    """
+    """A shader of a surface's material; the paths of its textures begin with its own."""
 
     def __init__(self, place: ShaderPlace, path: str, name: str, surface: Surface) -> None:
         self.surface = surface
@@ -116,7 +106,6 @@ class Shader:
             node.CreateInput("scale", self._types.Float4).Set(scale)
 
     def _texture(self, name: str, texture: Json, file: str, space: str) -> Any:
-        """Nodes of an image and of its coordinates."""
         if texture["filter_type"] == "nearest":
             self._place.lost.add("images without interpolation are interpolated")
         node = self._node(name, "UsdUVTexture")

@@ -27,14 +27,11 @@ _NAME_CHARACTERS = 60
 
 
 class LampStage:
-    """Writes the files of a lamp's stage.
+    """Writes the files of a lamp's stage into a folder.
 
     Args:
-        pxr: the library.
-        folder: where the files are written.
         name: name of the layer to open, such as "lamp.usda".
-        stem: that the names of the other files begin with.
-        asset: the lamp.
+        stem: beginning of the names of the other files.
         units: of lengths and of light, one line.
     """
 
@@ -51,8 +48,7 @@ class LampStage:
     ) -> list[str]:
         """Write a layer of the surfaces, and one of the lights, with profiles, that refers to it.
 
-        Returns:
-            One line for each property of the surfaces that is lost.
+        Returns one line for each property of the surfaces that is lost.
         """
         stage, lost = self._new_stage(self._name), []
         if surfaces:
@@ -71,8 +67,7 @@ class LampStage:
     ) -> list[str]:
         """Write one layer of everything, with UsdPreviewSurface alone and lights without profiles.
 
-        Returns:
-            One line for each property of the surfaces that is lost.
+        Returns one line for each property of the surfaces that is lost.
         """
         stage = self._new_stage(self._name)
         lost = self._add_surfaces(stage, surfaces, materialx=False) if surfaces else []

@@ -96,7 +96,7 @@ def brightest_view(asset: Asset) -> tuple[float, float]:
 def _by_bin(light: LightField) -> NDArray[np.float64]:
     """Mean intensity [C, B, 3] of bins, `_RESOLUTION` a side."""
     own = light.resolution
-    # Of bins that are larger, each is divided.
+    # Larger bins are divided.
     fine = max(own, _RESOLUTION)
     shape = _RESOLUTION, fine // _RESOLUTION, _RESOLUTION, fine // _RESOLUTION
     weight = solid_angles(fine).reshape(shape)
@@ -113,11 +113,8 @@ def _by_bin(light: LightField) -> NDArray[np.float64]:
 class _Fit:
     """Least squares of sigmoid(c · Y) - wanted over directions, for many rows at once.
 
-    By the method of Levenberg and Marquardt, each row with a damping of its own.
-
-    Args:
-        values: [B, K] of the basis Y.
-        weight: [B] of the directions.
+    By the method of Levenberg and Marquardt, each row with a damping of its own. The basis Y has
+    the values [B, K].
     """
 
     def __init__(self, values: NDArray[np.float64], weight: NDArray[np.float64]) -> None:

@@ -76,7 +76,7 @@ def page_model(asset: Asset) -> PageModel:
     seen = faces[ends], faces[backs]
     light = _sent_out(asset, vertices, means, *seen)
     largest = float(light.max()) or 1.0
-    # The pattern of an emitter is that of its own light.
+    # The pattern of an emitter is the pattern of its own light.
     means[faces[np.array([row.emits for row in rows])[surfaces]]] = 1.0
     lights = studio_lights(portrait_half_width(asset), 1.0)
     soft = _sent_out(_unlit(asset), vertices, means, *seen, lights)
@@ -124,11 +124,7 @@ def _sent_out(
     backs: NDArray[Any],
     lights: Mapping[str, Any] | None = None,
 ) -> NDArray[np.float32]:
-    """Mean radiance [V, 6] that vertices send out at front and back, over that of a pattern.
-
-    Args:
-        lights: as for `vertex_radiance`.
-    """
+    """Mean radiance [V, 6] that vertices send out at front and back, over the mean of a pattern."""
     count = len(vertices)
     if not len(fronts):
         return np.zeros((count, 6), np.float32)

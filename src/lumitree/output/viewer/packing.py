@@ -1,4 +1,4 @@
-"""What the page of the viewer holds of an asset: arrays of numbers in one compressed stream.
+"""Content of the page of the viewer: arrays of an asset in one compressed stream.
 
 The geometry is shown, if there is one (`model`), and the field. The field is rounded as in a
 file, and its numbers are those of the file's stream (`field_bytes`). Without both the light field
@@ -53,11 +53,7 @@ class PackedAsset:
 
 
 def pack_asset(asset: Asset) -> PackedAsset:
-    """Convert an asset for the page.
-
-    Raises:
-        LumitreeError: it is too large for textures of WebGL 2.
-    """
+    """Convert an asset for the page; refuses one too large for textures of WebGL 2."""
     arrays: dict[str, NDArray[Any]] = {}
     has_field, view = asset.num_leaves > 0, DEFAULT_VIEW
     model = field = light = None
@@ -117,12 +113,11 @@ def pack_asset(asset: Asset) -> PackedAsset:
 
 
 def _shown(has_model: bool, has_field: bool) -> str:
-    """What images of the page show."""
+    """Subjects of the page's images."""
     return " and ".join(["model"] * has_model + ["field"] * has_field) or "light field"
 
 
 def _field(asset: Asset, steps: Steps) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Numbers and arrays of a field."""
     levels = wide_nodes(asset.children, asset.tree_depth)
     starts = np.concatenate([[0], np.cumsum([level.size for level in levels])])
     arrays: dict[str, NDArray[Any]] = {

@@ -16,17 +16,15 @@ _SHADERS = ("field", "model", "display", "irradiance", "walls")
 
 
 def make_page(asset: Asset) -> str:
-    """HTML text of a page that shows an asset; it loads nothing.
-
-    Raises:
-        LumitreeError: the asset cannot be shown; see `pack_asset`.
-    """
+    """HTML text of a page that shows an asset; it loads nothing. Errors are as in `pack_asset`."""
     packed = pack_asset(asset)
     shaders = {name: _file(f"{name}.glsl") for name in _SHADERS}
+    colours = matplotlib.colormaps["inferno"](np.linspace(0, 1, 256))[:, :3]
+    colour_map = np.round(colours * 255).astype(int).ravel().tolist()
     parts = {
         "TITLE": html.escape(f"{asset.luminaire} - lumitree"),
         "STYLE": _file("style.css"),
-        "ASSET": _json({**packed.description, "block": packed.block, "colours": _colour_map()}),
+        "ASSET": _json({**packed.description, "block": packed.block, "colours": colour_map}),
         "SHADERS": _json(shaders),
         "SCRIPT": "\n".join(_file(name) for name in _SCRIPTS),
     }
@@ -50,9 +48,3 @@ def _file(name: str) -> str:
 def _json(value: object) -> str:
     """JSON that can stand in a script element: it has no `<`, so that it cannot end it."""
     return json_text(value).replace("<", "\\u003c")
-
-
-def _colour_map() -> list[int]:
-    """sRGB bytes [256 * 3] of the perceptual colour map."""
-    colours = matplotlib.colormaps["inferno"](np.linspace(0, 1, 256))[:, :3]
-    return np.round(colours * 255).astype(int).ravel().tolist()

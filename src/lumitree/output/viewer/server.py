@@ -12,7 +12,7 @@ from lumitree.errors import LumitreeError
 _HOST = "127.0.0.1"
 # Names of this computer by which a browser may ask.
 _NAMES = ("localhost", "127.0.0.1", "[::1]")
-# Of every answer: no other page may load it, and browsers keep no copy.
+# Headers of every answer: no other page may load it, and browsers keep no copy.
 _HEADERS = {
     "Cache-Control": "no-store",
     "Cross-Origin-Resource-Policy": "same-origin",

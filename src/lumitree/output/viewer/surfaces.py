@@ -24,7 +24,7 @@ _WHITE = (1.0, 1.0, 1.0)
 
 
 class Kind(enum.IntEnum):
-    """What happens to a ray. The numbers are those of model.glsl."""
+    """Effect of a surface on a ray. The numbers are the same in model.glsl."""
 
     ENDS = 0
     GLASS = 1
@@ -86,11 +86,7 @@ class Surface:
 
 
 def page_surface(geometry: AssetGeometry, shape: Json, scale: float) -> Surface:
-    """The surface of a shape of the geometry.
-
-    Args:
-        scale: of the luminaire's frame, lengths of its file per local unit.
-    """
+    """The surface of a shape of the geometry; `scale` is lengths of its file per local unit."""
     material, two_sided = geometry.materials[shape["material"]], False
     while material["type"] == "twosided" and len(material["nested"]) == 1:
         material, two_sided = material["nested"][0], True
@@ -145,7 +141,6 @@ def _metallic_roughness(material: Json) -> Surface | None:
 
 
 def _has_back(material: Json) -> bool:
-    """Whether a material scatters light at its back, too."""
     if material["type"] == "twosided" or material.get("thin", False) or transmits(material):
         return True
     return any(map(_has_back, material.get("nested", [])))

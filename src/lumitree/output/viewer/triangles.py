@@ -22,11 +22,6 @@ class Triangles:
     """Meshes that are joined to one."""
 
     def __init__(self, patterns: Patterns) -> None:
-        """No mesh yet.
-
-        Args:
-            patterns: of the geometry that the meshes are of.
-        """
         self._patterns = patterns
         self._parts: list[tuple[NDArray[Any], ...]] = []
         self._count = 0

@@ -35,12 +35,6 @@ class ViewResult(Result):
         return notebook_frame(self.html)
 
 
-def _check_page_name(path: FilePath) -> None:
-    if Path(path).suffix.lower() not in (".html", ".htm"):
-        name = shown(repr(str(path)), 300)
-        raise LumitreeError(f"page name {name} does not end in .html")
-
-
 @in_turn
 def view(asset: Asset | FilePath, output: FilePath | None = None) -> ViewResult:
     """Make a web page that shows an asset, and the illuminance around it.
@@ -65,7 +59,9 @@ def view(asset: Asset | FilePath, output: FilePath | None = None) -> ViewResult:
             another ending than .html or .htm, or cannot be written.
     """
     if output is not None:
-        _check_page_name(output)
+        if Path(output).suffix.lower() not in (".html", ".htm"):
+            name = shown(repr(str(output)), 300)
+            raise LumitreeError(f"page name {name} does not end in .html")
         check_writable(output)
     # The surfaces of geometry are traced, and directions go through Dr.Jit.
     load_rgb()
