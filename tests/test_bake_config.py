@@ -1,6 +1,7 @@
 """The settings of a bake, and the TOML files of `lumitree bake --config`."""
 
 import dataclasses
+import operator
 import re
 import tomllib
 
@@ -49,7 +50,7 @@ def test_a_file_with_all_values_has_the_settings(config, tmp_path):
     other = QUALITIES["preview"] if isinstance(config, BakeConfig) else NETWORK_BAKES["preview"]
     found, given = read(values, other, tmp_path / "a.toml")
     assert found == config
-    absent = {name for name in names(config) if getattr(config, name, "") is None}
+    absent = {name for name in names(config) if operator.attrgetter(name)(config) is None}
     assert set(given) == set(names(config)) - absent
 
 
