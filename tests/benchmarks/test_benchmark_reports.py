@@ -11,6 +11,7 @@ from benchmarks.common import timing
 from benchmarks.common.results import Results, notes
 from benchmarks.common.tables import Table
 from benchmarks.common.timing import interleaved, ratios
+from lumitree.errors import LumitreeError
 
 
 def test_tables_in_markdown():
@@ -57,7 +58,7 @@ def test_results_are_written_and_read(mi, options):
 def test_a_failed_write_keeps_earlier_results(mi, options):
     results = Results(options)
     results.write({"rows": [1]})
-    with pytest.raises(ValueError, match="not JSON compliant"):
+    with pytest.raises(LumitreeError, match="not JSON compliant"):
         results.write({"rows": [float("nan")]})
     assert json.loads(results.json_path.read_text()) == {"rows": [1]}
     assert {each.name for each in options.output.iterdir()} == {"query.json"}

@@ -104,7 +104,7 @@ def reference(mi, lamp, count, seed, depth):
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(seed, count)
     extent = scene_extent(scene)
-    ray, flux = light_paths._emit(lamp.emitting_surfaces, sampler, extent)[:2]
+    ray, flux = light_paths.emit(lamp.emitting_surfaces, sampler, extent)[:2]
     context = mi.BSDFContext(mi.TransportMode.Importance)
     to_local = lamp.scene_frame.local_from_world
     side = 1 << depth
