@@ -78,9 +78,14 @@ class SceneFile:
             content = read_bytes(self.path, "a Mitsuba scene", MAX_MODEL_BYTES)
             if (what := what_it_is(self.path, content)) not in (None, SCENE, XML):
                 raise LumitreeError(f"{self._name} is {what}; expected a Mitsuba 3 scene (.xml)")
-            if not content.isascii() and b"encoding=" not in content[:200]:
-                with self._readable():
+            if not content.isascii() and b"encoding=" not in content[:200].replace(b"\0", b""):
+                try:
                     content.decode()
+                except UnicodeDecodeError as error:
+                    raise LumitreeError(
+                        f"{self._name} is not valid UTF-8 (byte {error.start}); expected XML in "
+                        "UTF-8, or with its encoding in the first line"
+                    ) from None
         mi = load_mitsuba()
         register_metallic_roughness()
         # Compared for each property of each node.
