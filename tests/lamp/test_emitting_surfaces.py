@@ -138,6 +138,19 @@ def test_faces_that_share_coordinates_emit_each(mi, tmp_path):
     assert (np.abs(seen.watts - bare_watts(lamp)) < 4 * np.array(seen.watts_error)).all()
 
 
+def test_a_small_spot_on_a_large_face_is_found(mi, tmp_path):
+    """One texel of 256² of a square of two triangles."""
+    pixels = np.zeros((256, 256, 3), np.float32)
+    pixels[40, 171] = 1e4
+    mi.Bitmap(pixels).write(str(tmp_path / "spot.exr"))
+    radiance = {"type": "bitmap", "filename": str(tmp_path / "spot.exr"), "raw": True}
+    emitter = {"type": "area", "radiance": {**radiance, "filter_type": "nearest"}}
+    shape = quads(mi, tmp_path / "quad.ply", (quad([0, 0, 0]), UNIT))
+    lamp = load_luminaire({**shape, "emitter": emitter})
+    # By uniform sampling 2 of 131,072 points would be on it.
+    assert bare_watts(lamp) == pytest.approx(np.pi * 1e4 / 256**2, rel=0.03)
+
+
 def test_a_transform_of_coordinates_moves_the_light(mi, tmp_path):
     half = mi.ScalarTransform4f().scale([0.5, 0.5, 1])
     lamp = load_luminaire(image_lamp(mi, tmp_path, (quad([0, 0, 0]), UNIT), transform=half))

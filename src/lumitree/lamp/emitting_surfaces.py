@@ -2,16 +2,20 @@
 
 Light starts on surfaces, not in images: a triangle or primitive is chosen in proportion to its area
 times its mean radiance, a point is sampled uniformly by area, and the radiance is evaluated there.
+Where the radiance varies, large triangles and primitives are divided into cells of equal area.
 Mitsuba samples the pixels of a texture instead, which is right only where the texture
 coordinates of a shape cover the unit square exactly once.
 
 Symbols
-    pmf       probability of a triangle or primitive
+    pmf       probability of a cell: a triangle or primitive, or a part of one
+    side      cells of a triangle or primitive along both sides of the unit square, which is mapped
+              to it with equal areas
     density   of a point, per unit of area: pmf / area
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -19,16 +23,19 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
 
 from lumitree.core.alias_table import alias_row
 from lumitree.core.device import on_device, parameter
 
-# Points at which the radiance of all triangles and primitives is evaluated for their means, about,
-# and at least and at most for each. Their offset keeps them off the edges.
-_POINTS, _FEWEST, _MOST = 1 << 16, 4, 1 << 10
-# Part of the mean radiance of a shape that is added to each of its triangles: small bright spots
-# may lie between the points.
-_FLOOR = 0.05
+# Cells of all surfaces with varying radiance, at most but for one each.
+_CELLS = 1 << 19
+# Points at which the radiance of all cells is evaluated for their means, about, and at least and at
+# most for each. Their offset keeps them off the edges.
+_POINTS, _FEWEST, _MOST = 1 << 18, 8, 1 << 10
+# Parts of the largest mean of the cells around a cell, and of the mean of its shape, that are added
+# to its own: the edges of a bright spot, and small spots, may lie between the points.
+_AROUND, _FLOOR = 0.2, 0.05
 
 # Wavelengths at which it is evaluated in spectral variants, nm.
 _WAVELENGTHS = (450.0, 530.0, 590.0, 650.0)
@@ -83,6 +90,8 @@ class EmittingSurfaces:
         radiance: Callable[[mi.SurfaceInteraction3f, mi.UInt32], mi.Spectrum],
     ) -> None:
         areas = [_areas(shape) for shape in shapes]
+        side = _sides(shapes, [len(each) for each in areas])
+        areas = [np.repeat(a / n**2, n**2) for a, n in zip(areas, side, strict=True)]
         counts = np.array([len(each) for each in areas])
         area, shape_of = np.concatenate(areas), np.repeat(np.arange(len(shapes)), counts)
         first = np.cumsum(counts) - counts
@@ -93,11 +102,14 @@ class EmittingSurfaces:
         self._shape_of = on_device(mi.UInt32, shape_of)
         # Whether a triangle or primitive is one of a mesh, by the shape.
         self._is_mesh = on_device(mi.Bool, [shape.is_mesh() for shape in shapes])
-        self._first = on_device(mi.UInt32, first)
+        self._first, self._side = on_device(mi.UInt32, first), on_device(mi.UInt32, side)
         mean = self._mean_radiance(radiance)
         power = np.bincount(shape_of, area * mean, len(shapes))
         floor = _FLOOR * power / np.maximum(np.add.reduceat(area, first), 1e-300)
-        weight = area * (mean + floor[shape_of])
+        around = [
+            _largest_around(mean[i : i + c], n) for i, c, n in zip(first, counts, side, strict=True)
+        ]
+        weight = area * (mean + _AROUND * np.concatenate(around) + floor[shape_of])
         self.power = float(power.sum())
         # Black shapes are sampled too, and what they emit is 0.
         threshold, alias = alias_row(weight if weight.sum() > 0 else area)
@@ -122,11 +134,18 @@ class EmittingSurfaces:
     def _point(
         self, entry: mi.UInt32, place: mi.Point2f, active: mi.Bool | bool
     ) -> tuple[mi.SurfaceInteraction3f, mi.UInt32]:
-        """A point of a triangle or primitive, and the index of the shape."""
+        """A point of a cell, and the index of the shape."""
         index = dr.gather(mi.UInt32, self._shape_of, entry, active)
+        side = dr.gather(mi.UInt32, self._side, index, active)
+        number = entry - dr.gather(mi.UInt32, self._first, index, active)
+        prim_index = number // dr.maximum(side * side, 1)
+        cell = number - prim_index * side * side
+        row = cell // dr.maximum(side, 1)
+        corner = mi.Point2f(mi.Float(cell - row * side), mi.Float(row))
+        place = dr.minimum((corner + place) / mi.Float(side), dr.one_minus_epsilon(mi.Float))
         pi = dr.zeros(mi.PreliminaryIntersection3f, dr.width(entry))
         pi.shape = dr.gather(mi.ShapePtr, self._shapes, index, active)
-        pi.prim_index = entry - dr.gather(mi.UInt32, self._first, index, active)
+        pi.prim_index = prim_index
         pi.prim_uv = mi.warp.square_to_uniform_triangle(place)
         pi.t, pi.valid = mi.Float(1), mi.Bool(active)
         ray = mi.Ray3f(mi.Point3f(0), mi.Vector3f(0, 0, 1))
@@ -159,7 +178,7 @@ class EmittingSurfaces:
     def _mean_radiance(
         self, radiance: Callable[[mi.SurfaceInteraction3f, mi.UInt32], mi.Spectrum]
     ) -> NDArray[np.float64]:
-        """Mean over the channels and over some points of each triangle or primitive."""
+        """Mean over the channels and over some points of each cell."""
         count = dr.width(self._shape_of)
         points = int(np.clip(_POINTS // count, _FEWEST, _MOST))
         entry, number = dr.meshgrid(dr.arange(mi.UInt32, count), dr.arange(mi.UInt32, points))
@@ -186,6 +205,21 @@ def emitting_surfaces(scene: mi.Scene) -> EmittingSurfaces:
     # An emitter returns its shape without the class that has the vertices of a mesh.
     shape_of = {shape.emitter(): shape for shape in scene.shapes() if shape.is_emitter()}
     return EmittingSurfaces([shape_of[each] for each in scene.emitters()], radiance)
+
+
+def _sides(shapes: Sequence[mi.Shape], counts: Sequence[int]) -> NDArray[np.int64]:
+    """Side of the triangles or primitives of each shape, by their numbers."""
+    flag = int(mi.EmitterFlags.SpatiallyVarying)
+    varies = np.array([bool(int(shape.emitter().flags()) & flag) for shape in shapes])
+    side = math.isqrt(_CELLS // max(int(np.sum(counts, where=varies)), 1))
+    return np.where(varies, max(side, 1), 1)
+
+
+def _largest_around(mean: NDArray[np.float64], side: int) -> NDArray[np.float64]:
+    """Largest mean of each cell of one shape and of its neighbours; 0 where there are none."""
+    if side == 1:
+        return np.zeros_like(mean)
+    return maximum_filter(mean.reshape(-1, side, side), (1, 3, 3)).ravel()
 
 
 def _four_numbers(sample: mi.Point2f) -> tuple[mi.Point2f, mi.Point2f]:

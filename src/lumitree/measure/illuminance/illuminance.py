@@ -282,8 +282,11 @@ def _paths(scene: Any, title: str) -> "PathScene":
     if not scene.emitters():
         raise LumitreeError(f"{title} has no light; place a lamp or add an emitter")
     # Their light is not sampled. The models of lamps have none of their own.
+    shapes = {shape.emitter(): shape for shape in scene.shapes() if shape.is_emitter()}
     left_out = [
-        each.id()
+        shapes[each].id() or f"a {shapes[each].class_name().lower()}"
+        if each in shapes
+        else each.id() or each.class_name()
         for each in scene.emitters()
         if each.sampling_weight() <= 0 and not isinstance(each, GeometryEmitter)
     ]

@@ -61,7 +61,8 @@ def evaluated(
             return float(luminance(emitted[used].mean(axis=0)))
 
         emitted_lumens = _estimate(bare)
-        ratio = _estimate(lambda used: lumens(used) / bare(used))
+        # A part of the batches may have found no light.
+        ratio = _estimate(lambda used: lumens(used) / (bare(used) or math.inf))
     elif file is not None and (lamps := file.emitted_lumens) is not None:
         emitted_lumens = Estimate(lamps, 0.0)
         ratio = _estimate(lambda used: lumens(used) / lamps)
