@@ -230,7 +230,7 @@ def test_lamps_of_one_kind_share_their_code(mi, monkeypatch, parts):
     assets = [make_asset(parts, seed) for seed in (1, 2)]
     scene = room(mi, **lamps(assets), **others(mi))
     kinds = LampKinds(scene.emitters(), scene.emitters_dr())
-    assert len(kinds._lights) == 3
+    assert len(kinds._lights) == 2
     shared = images(mi, scene, 1, 32)[0]
     create = LampKinds.__init__
 

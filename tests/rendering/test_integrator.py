@@ -171,8 +171,9 @@ LIT = {
         "window": window(-1),
     },
     "alpha mask before": lambda lamp: {"lamp": lamp([0, 1, -0.5]), "leaf": leaf(), "sun": SUN},
-    "proxy on the floor": lambda lamp: {
-        "lamp": lamp([0, 0.5, 0], turn=0),
+    # Not on it: `volpath` gives points that touch a box no light.
+    "proxy near the floor": lambda lamp: {
+        "lamp": lamp([0, 0.51, 0], turn=0),
         "glass": ball("dielectric", (1.1, 0.5, 0.6)),
     },
 }
