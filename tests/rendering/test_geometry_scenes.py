@@ -44,6 +44,24 @@ def folder(mi, tmp_path, monkeypatch):
     return tmp_path
 
 
+def test_a_scene_file_names_a_lamp_with_geometry_beside_a_textured_emitter(mi, tmp_path):
+    """Its emitters are complete when they are created, unlike those with textures of the file."""
+    lumitree.save(with_geometry(small_geometry()), tmp_path / "lamp.lumitree")
+    mi.Bitmap(np.ones((2, 2, 3), np.float32)).write(str(tmp_path / "white.exr"))
+    path = tmp_path / "room.xml"
+    path.write_text(
+        '<scene version="3.0.0"><integrator type="lumitree_path"/><sensor type="perspective">'
+        '<film type="hdrfilm"><integer name="width" value="8"/><integer name="height" value="8"/>'
+        '</film></sensor><shape type="lumitree_proxy"><string name="filename" '
+        'value="lamp.lumitree"/></shape><shape type="rectangle"><emitter type="area">'
+        '<texture type="bitmap" name="radiance"><string name="filename" value="white.exr"/>'
+        "</texture></emitter></shape></scene>"
+    )
+    image = lumitree.render(path, samples_per_pixel=4, progress=None)
+    assert np.isfinite(image.pixels).all()
+    assert image.pixels.max() > 0
+
+
 def bar(frame=None):
     """An asset with the geometry of the lamp and some light."""
     lamp = load_luminaire("lamp.xml")

@@ -13,7 +13,8 @@ from lumitree.lamp.scene_instances import referred
 _PLUGIN = "lumitree_area"
 # Radiance that is everywhere the same. Mitsuba's own emitter samples such surfaces by area.
 _CONSTANT = ("d65", "irregular", "regular", "srgb", "uniform")
-_registered: set[str | None] = set()
+# The class of the emitter in each variant in which it is registered.
+_classes: dict[str | None, type] = {}
 
 
 def replace_textured_areas(state: Any) -> None:
@@ -29,15 +30,16 @@ def replace_textured_areas(state: Any) -> None:
 
 def complete_textured_areas(scene: mi.Scene) -> None:
     """Make the tables of a scene's emitters `lumitree_area`, before a kernel uses them."""
+    kind = _classes.get(mi.variant())
     for shape in scene.shapes():
-        if shape.is_emitter() and hasattr(shape.emitter(), "complete"):
-            shape.emitter().complete(shape)
+        if kind is not None and isinstance(emitter := shape.emitter(), kind):
+            emitter.complete(shape)
 
 
 def _register() -> None:
-    if mi.variant() not in _registered:
-        mi.register_emitter(_PLUGIN, _emitter_class())
-        _registered.add(mi.variant())
+    if mi.variant() not in _classes:
+        _classes[mi.variant()] = _emitter_class()
+        mi.register_emitter(_PLUGIN, _classes[mi.variant()])
 
 
 def _emitter_class() -> type:
