@@ -72,7 +72,7 @@ def flux_by_camera_paths(
         radiance = as_rows(_camera_paths(luminaire.scene, ray, sampler, path_depth))
         check_finite(luminaire, radiance)
         moments.add(np.column_stack([radiance, luminance(radiance)]), BATCH)
-    # Of all lines through the bounding sphere: 4π sr times its cross section, unit².
+    # All lines through the bounding sphere measure 4π sr times its cross section, unit².
     radius = luminaire.bounding_radius * luminaire.frame.scale
     return flux_of(moments, 4 * np.pi * np.pi * radius**2)
 
@@ -88,13 +88,11 @@ def _camera_paths(scene, ray, sampler, path_depth):
     while active:
         si = scene.ray_intersect(ray, active)
         active &= si.is_valid()
-        free_flight = medium_paths.free_flight(medium, channel, sampler, active)
-        collides = active & (free_flight < si.t)
+        collides, free_flight, weight, ρ = medium_paths.traverse(
+            medium, si.t, channel, ρ, sampler, active
+        )
+        β *= weight
         hits = active & ~collides
-        weight, densities = medium_paths.segment_weight(medium, si.t, ρ, hits)
-        β[hits], ρ[hits] = β * weight, densities
-        weight, densities = medium_paths.scattering_weight(medium, free_flight, ρ, collides)
-        β[collides], ρ[collides] = β * weight, densities
         radiance[hits] += β * si.emitter(scene, hits).eval(si, hits)
 
         scattered, weight, _ = medium_paths.sample_phase(medium, ray, sampler, collides)

@@ -8,7 +8,7 @@ from lumitree.core.seeds import check_seed
 from lumitree.errors import LumitreeError
 
 MAX_PATHS = 1 << 32
-# Of a grid whose depth is not stated, at least.
+# Smallest depth of a grid whose depth is not stated.
 LEAST_DEPTH = 5
 # More bins are for intensities without noise, as photometric files have them.
 MAX_TRACED_RESOLUTION = 128

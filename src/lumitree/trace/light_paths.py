@@ -161,13 +161,11 @@ def _trace(luminaire, sampler, path_depth, reservoir, largest_gain):
         active &= si.is_valid()
 
         arriving = mi.Color3f(flux)
-        free_flight = medium_paths.free_flight(medium, channel, sampler, active)
-        collides = active & (free_flight < si.t)
+        collides, free_flight, weight, ρ = medium_paths.traverse(
+            medium, si.t, channel, ρ, sampler, active
+        )
+        flux *= weight
         hits = active & ~collides
-        weight, densities = medium_paths.segment_weight(medium, si.t, ρ, hits)
-        flux[hits], ρ[hits] = flux * weight, densities
-        weight, densities = medium_paths.scattering_weight(medium, free_flight, ρ, collides)
-        flux[collides], ρ[collides] = flux * weight, densities
         scattered, phase_weight, _ = medium_paths.sample_phase(medium, ray, sampler, collides)
 
         bsdf = si.bsdf()

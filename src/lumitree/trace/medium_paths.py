@@ -78,6 +78,26 @@ def scattering_weight(
     return _weighted(scattering * through, extinction * through, ρ)
 
 
+def traverse(
+    medium: Any, distance: Any, channel: Any, ρ: Any, sampler: Any, active: Any
+) -> tuple[Any, Any, Any, Any]:
+    """The segment of a path to the next surface, or to where the medium scatters before it.
+
+    Args:
+        distance: mi.Float, to the surface.
+
+    Returns:
+        Where the medium scatters (mi.Bool); the free flight; the weight (mi.Color3f) of the segment;
+        and ρ after it.
+    """
+    flight = free_flight(medium, channel, sampler, active)
+    collides = active & (flight < distance)
+    through, behind = segment_weight(medium, distance, ρ, active & ~collides)
+    scattered, after = scattering_weight(medium, flight, ρ, collides)
+    weight = dr.select(collides, scattered, dr.select(active, through, 1))
+    return collides, flight, weight, dr.select(collides, after, dr.select(active, behind, ρ))
+
+
 def transmittance(medium: Any, distance: Any, active: Any, wavelengths: Any = None) -> Any:
     """T (mi.Spectrum) of a segment."""
     return _transmittance(coefficients(medium, active, wavelengths)[1], distance)
