@@ -140,7 +140,7 @@ def test_kept_images_depend_on_all_code_that_renders(monkeypatch):
 
 
 def test_thresholds_reach_the_fields_of_placed_lamps(mi):
-    """The radiance of rays to the lamp is that of a field with the thresholds."""
+    """Rays to the lamp have the radiance of a field with the thresholds."""
     from benchmarks.equal_error.method import Way, set_thresholds
     from lumitree.octree.field import Field
     from lumitree.rendering.placement import Placement

@@ -116,7 +116,7 @@ def zipped(members, rng):
             if chance(rng, 0.003):
                 content += b" " * _LARGE
                 kind = zipfile.ZIP_DEFLATED
-            # Of no date: an input depends on its number alone.
+            # Without a date: an input depends on its number alone.
             archive.writestr(zipfile.ZipInfo(name), content, kind)
             if chance(rng, 0.02):
                 archive.writestr(zipfile.ZipInfo(name), b"")

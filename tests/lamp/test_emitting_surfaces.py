@@ -110,7 +110,7 @@ def test_flux_is_that_of_the_surface_not_of_the_image(mi, tmp_path, name):
     radiance = {"type": "bitmap", "filename": str(pixels), "raw": True, "filter_type": "nearest"}
     lamp = load_luminaire({**shape, "emitter": {"type": "area", "radiance": radiance}})
     watts = bare_watts(lamp)
-    # Of n paths a part p carries light: a relative error of sqrt((1 - p) / p / n).
+    # A part p of n paths carries light: a relative error of sqrt((1 - p) / p / n).
     assert watts == pytest.approx(np.pi * part, rel=4 * np.sqrt((1 - part) / part / 2**17) + 1e-5)
 
 

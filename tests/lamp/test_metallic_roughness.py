@@ -233,7 +233,7 @@ def test_values_are_the_weights_times_the_density(mi, made, name):
     bs, weight = bsdf.sample(context, si, sampler.next_1d(), sampler.next_2d())
     valid = np.array(bs.pdf) > 0
     value, pdf = (np.array(each) for each in bsdf.eval_pdf(context, si, bs.wo))
-    # Of smooth surfaces rounding of the direction matters.
+    # Rounding of the direction matters on smooth surfaces.
     assert np.array(bs.pdf)[valid] == pytest.approx(pdf[valid], rel=5e-3)
     assert (np.array(weight) * pdf)[:, valid] == pytest.approx(value[:, valid], rel=5e-3, abs=1e-6)
     assert np.isfinite(np.array(weight)).all()

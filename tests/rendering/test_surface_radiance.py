@@ -6,16 +6,7 @@ import numpy as np
 import pytest
 
 from lumitree.core.frames import LocalFrame
-from support.geometry_assets import small_geometry, with_geometry
-
-NOTHING = {
-    "vertices": np.zeros((0, 3), np.float32),
-    "faces": np.zeros((0, 3), np.uint32),
-    "normals": np.zeros((0, 3), np.float32),
-    "texcoords": np.zeros((0, 2), np.float32),
-    "colours": np.zeros((0, 3), np.float32),
-    "images": (),
-}
+from support.geometry_assets import NOTHING, small_geometry, with_geometry
 
 
 def plate_below_a_sphere(gain=(1.0, 1.0, 1.0)):

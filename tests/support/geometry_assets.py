@@ -8,6 +8,15 @@ from lumitree.core.frames import LocalFrame
 from support.light_fields import random_light_field
 
 IDENTITY = np.eye(4).tolist()
+# Members of a geometry without meshes and images.
+NOTHING = {
+    "vertices": np.zeros((0, 3), np.float32),
+    "faces": np.zeros((0, 3), np.uint32),
+    "normals": np.zeros((0, 3), np.float32),
+    "texcoords": np.zeros((0, 2), np.float32),
+    "colours": np.zeros((0, 3), np.float32),
+    "images": (),
+}
 
 
 def small_geometry(**changes) -> AssetGeometry:

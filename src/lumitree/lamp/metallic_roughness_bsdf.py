@@ -111,7 +111,7 @@ class _Point:
         found = tinted + grazing
         self.lost_mean = dr.maximum(1 - found, 1e-6)
         average = self.base + (1 - self.base) / 21
-        # Of the light that microfacets of metal scatter more than once, the part that leaves.
+        # The part that leaves of the light that microfacets of metal scatter more than once.
         self.rebound = dr.square(average) * found / (1 - average * self.lost_mean)
         self.layer_mean = 1 - self.layer(tinted, grazing)
         stays = self.specular * (bsdf.f0 + (1 - bsdf.f0) / 21)

@@ -1,6 +1,6 @@
 """Directional albedo of single scattering by GGX microfacets, by numerical integration.
 
-The distribution and the separable masking-shadowing function are those of appendix B of the glTF
+The distribution and the separable masking-shadowing function follow appendix B of the glTF
 2.0 specification. With E(μ) the albedo for the cosine μ of the angle to the normal, 1 - E(μ) is the
 light that is scattered more than once. Kulla and Conty (2017) give it back by a lobe in proportion
 to (1 - E(μ_i)) (1 - E(μ_o)), which is reciprocal.

@@ -4,16 +4,8 @@ import numpy as np
 import pytest
 
 from lumitree.core.frames import LocalFrame
-from support.geometry_assets import small_geometry, with_geometry
+from support.geometry_assets import NOTHING, small_geometry, with_geometry
 
-NOTHING = {
-    "vertices": np.zeros((0, 3), np.float32),
-    "faces": np.zeros((0, 3), np.uint32),
-    "normals": np.zeros((0, 3), np.float32),
-    "texcoords": np.zeros((0, 2), np.float32),
-    "colours": np.zeros((0, 3), np.float32),
-    "images": (),
-}
 PLASTIC = {
     "type": "roughplastic", "alpha": 0.05, "distribution": "ggx", "int_ior": 1.5, "ext_ior": 1.0,
     "nonlinear": True, "diffuse_reflectance": [0.029, 0.029, 0.029],

@@ -94,7 +94,7 @@ def write_part(root: Path, part: Part, names: Iterable[str]) -> None:
 def read_parts(root: Path) -> tuple[list[str], list[int], int]:
     """Lamps of the parts that have begun, numbers of those that have not, and number of all.
 
-    Of lists that were divided differently, the latest counts. 0 parts if none was divided. Names in
+    If lists were divided differently, the latest counts. 0 parts if none was divided. Names in
     a damaged file are not returned.
     """
     entries = [

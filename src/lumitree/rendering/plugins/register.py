@@ -12,8 +12,8 @@ first three take the same properties:
                   emitter and the BSDF alone show the field
 
 `lumitree_proxy` is the proxy, a `lumitree_box`, with the emitter and the BSDF attached: what a
-scene XML names. With the appearance "geometry" it is several shapes: the proxy and those of the
-luminaire.
+scene XML names. With the appearance "geometry" it is several shapes: the proxy and the
+luminaire's.
 L_o = gain · L_e + T · L_i (Eq. 2): the emitter returns gain · L_e, the BSDF T. The gain is
 a differentiable parameter of `mitsuba.traverse`, `<name of the shape>.emitter.gain`.
 """
