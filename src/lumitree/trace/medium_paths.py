@@ -87,8 +87,8 @@ def traverse(
         distance: mi.Float, to the surface.
 
     Returns:
-        Where the medium scatters (mi.Bool); the free flight; the weight (mi.Color3f) of the segment;
-        and ρ after it.
+        Where the medium scatters (mi.Bool); the free flight; the segment's weight (mi.Color3f); and
+        ρ after it.
     """
     flight = free_flight(medium, channel, sampler, active)
     collides = active & (flight < distance)
