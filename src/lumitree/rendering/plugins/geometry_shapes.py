@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from lumitree.asset.geometry import AssetGeometry
 from lumitree.asset.geometry_media import MEDIA_SIDES, scattering_sides, side_medium
 from lumitree.asset.materials import is_specular
-from lumitree.asset.textures import VERTEX_COLOUR, Json
-from lumitree.core.device import on_device, transforms_as_parameters
+from lumitree.asset.textures import Json
+from lumitree.core.device import transforms_as_parameters
 from lumitree.core.frames import similarity_scale
+from lumitree.core.mitsuba_meshes import make_mesh
 from lumitree.rendering.plugins.geometry_materials import Materials, Radiance
 from lumitree.rendering.plugins.geometry_plugins import geometry_emitter_class, geometry_glass_class
 from lumitree.rendering.plugins.objects import make_object, make_properties
@@ -92,29 +93,9 @@ class _Builder:
 
     def _mesh(self, mesh: dict[str, NDArray[Any]], props: mi.Properties) -> mi.Mesh:
         rotation = self._matrix[:3, :3] / self._scale
-        placed = {
-            "vertex_positions": mesh["vertices"] @ self._matrix[:3, :3].T + self._matrix[:3, 3],
-            "faces": mesh["faces"],
-        }
-        if len(mesh["normals"]):
-            placed["vertex_normals"] = mesh["normals"] @ rotation.T
-        if len(mesh["texcoords"]):
-            placed["vertex_texcoords"] = mesh["texcoords"]
-        shape = mi.Mesh(
-            "geometry",
-            len(mesh["vertices"]),
-            len(mesh["faces"]),
-            has_vertex_normals="vertex_normals" in placed,
-            has_vertex_texcoords="vertex_texcoords" in placed,
-            props=props,
-        )
-        if len(mesh["colours"]):
-            shape.add_attribute(VERTEX_COLOUR, 3, on_device(mi.Float, mesh["colours"]))
-        parameters = mi.traverse(shape)
-        for name, values in placed.items():
-            parameters[name] = on_device(mi.UInt32 if name == "faces" else mi.Float, values)
-        parameters.update()
-        return shape
+        vertices = mesh["vertices"] @ self._matrix[:3, :3].T + self._matrix[:3, 3]
+        placed = {**mesh, "vertices": vertices, "normals": mesh["normals"] @ rotation.T}
+        return make_mesh("geometry", placed, props)
 
     def _medium(self, described: Any) -> mi.Medium:
         """The medium of a side of a shape, whose coefficients are per unit of the file."""
