@@ -22,6 +22,7 @@ inv_pi: float
 class JitBackend:
     CUDA: JitBackend
     LLVM: JitBackend
+    Metal: JitBackend
 
 class ReduceOp:
     Add: ReduceOp
