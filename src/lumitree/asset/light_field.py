@@ -82,7 +82,8 @@ class TracedPaths:
 class LightField:
     """Radiant intensity by direction of the cells of a grid over the cube [-1, 1]³.
 
-    A cell stands for all light whose last vertex inside the luminaire is in it. Occlusion,
+    A cell stands for all light whose last vertex in the luminaire is in it. Null interactions are
+    no vertices: light that passed nothing else since its emitter is *straight*. Occlusion,
     refraction and scattering inside the luminaire are contained in its intensity. The light starts
     anywhere in the part of the cell that is inside the luminaire's box, with equal probability.
 
@@ -91,11 +92,10 @@ class LightField:
         lit: uint8 [C, R² / 8], which bins of each cell emit; the first bin in the highest bit.
         intensity: uint32 [B], radiant intensity of the bins that emit, by cell and then by bin:
             RGB9_E5 numbers (`unpack`) times `scale`. Local units: radiance times local area.
+        bent: uint32 [B], the part of each intensity that is not straight, likewise; in no channel
+            more than `intensity`.
         depth: the grid has 2**depth cells a side, 1 to 7.
         resolution: R, a power of two from 4 to 512.
-        bent: uint32 [B], the part of each intensity that is not *straight*, likewise; in no channel
-            more than `intensity`. Straight light has passed nothing but null interactions since it
-            left its emitter: masks, thin glass, media that did not scatter it.
         scale: the largest intensity that occurs.
         traced: the light paths that it was estimated from; None if they are not known.
         inside: light that ends on the luminaire, for receivers inside its box. None if none does,

@@ -177,9 +177,7 @@ class _Light:
         """`flux` less the flux of a part of the same rays."""
         return self._without(part, self.flux, part.flux)
 
-    def _without(
-        self, part: "_Light", whole: NDArray[Any], taken: NDArray[Any]
-    ) -> NDArray[np.floating]:
+    def _without(self, part: "_Light", whole: NDArray[Any], taken: NDArray[Any]) -> NDArray[Any]:
         """Values [C, ..] less values of the cells of a part."""
         rest = whole.copy()
         rows = self._occupied.rows(cell_codes(part.cells, self._depth))

@@ -1,6 +1,7 @@
-"""A histogram of light paths by the cell of their last vertex and by direction.
+"""A histogram of light paths by the cell where their rays start and by direction.
 
-Light that ends on the luminaire is counted too, by its reach (`inside`).
+Light that ends on the luminaire is counted too, by its reach (`inside`), and of both the straight
+light on its own.
 """
 
 import dataclasses
