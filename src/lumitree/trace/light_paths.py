@@ -82,10 +82,11 @@ def trace_light(
         all_light: also return paths that leave by smooth transmission alone.
         ending: also return segments that end on the luminaire. The paths are the same with it.
         largest_gain: limit of the flux of a path over that with which it starts. Straight paths
-            gain nothing and are never above it. The flux above it is given to all paths, and to
-            all ending segments, that are not straight, in proportion to their flux: sums over the
-            trace stay unbiased, their distribution has the bias of what was moved, 0.1 to 0.2 % of
-            the flux for a limit of 8. Default: none, and no bias.
+            have none: only the choice of a channel in a medium makes them gain, by up to 3. The
+            flux above the limit is given to all paths, and to all ending segments, that are not
+            straight, in proportion to their flux: sums over the trace stay unbiased, their
+            distribution has the bias of what was moved, 0.1 to 0.2 % of the flux for a limit of 8.
+            Default: none, and no bias.
     """
     reservoir = None if ending is None else make_reservoir(ending, luminaire.scene_frame, count)
     ray, vertex, flux, cut, straight, termination, leaves, smooth, reservoir = _trace(
