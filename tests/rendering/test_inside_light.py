@@ -7,9 +7,10 @@ import pytest
 
 import lumitree
 from lumitree.asset.asset import light_field_asset
-from lumitree.asset.light_field import make_light_field, pack
+from lumitree.asset.light_field import make_light_field
 from lumitree.asset.light_inside import LightInside, parts_of_ending
 from lumitree.asset.lit_bins import by_coarse_bin
+from lumitree.asset.packed_colours import pack
 from lumitree.core.frames import rotation, similarity
 from lumitree.fit.light_field.bake import bake_light_field
 from lumitree.lamp.stored_geometry import stored_geometry
@@ -153,10 +154,10 @@ def test_points_and_rays_share_the_light(mi):
         lit=np.full((24, 2), 255, np.uint8),
         intensity=pack(np.repeat(ending.reshape(-1, 1), 3, axis=1)),
         reach=np.zeros(24 * 16, np.uint8),
-        visibility=np.zeros(24 * 16, np.uint8),
+        bent=pack(np.repeat(ending.reshape(-1, 1), 3, axis=1)),
+        bent_reach=np.zeros(24 * 16, np.uint8),
         distances=np.array([0, 3.0, 4.0], np.float32),
         reach_curves=np.array([[1, 1, 0]], np.float32),
-        visibility_curves=np.ones((1, 3), np.float32),
         scale=2.0,
     )
     field = dataclasses.replace(field, inside=inside)
@@ -191,7 +192,7 @@ def test_points_and_rays_share_the_light(mi):
     rays = np.array(plain).T[:64]
     fine = np.array(smooth_bin(-plain, 8))[:64]
     leaving = np.zeros((24, 64))
-    from lumitree.asset.light_field import unpack
+    from lumitree.asset.packed_colours import unpack
 
     rows = np.searchsorted(morton(cells), morton(field.cells))
     leaving[rows] = field.scale * field.dense(unpack(field.intensity)[:, 1])

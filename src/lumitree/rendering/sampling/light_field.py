@@ -128,7 +128,7 @@ class DeviceLightField:
         self._factors = None
         if (inside := field.inside) is not None:
             rows = np.searchsorted(morton(inside.cells), morton(field.cells))
-            far = inside.visibility_curves[:, -1][inside.visibility]
+            far = np.ones(len(inside.intensity), np.float32)
             lit, bins = inside.lit, (field.resolution // 2) ** 2
             self._factors = on_device(mi.Float, dense(lit, bins, far)[rows])
             packed, scale = ending_by_bin(field)

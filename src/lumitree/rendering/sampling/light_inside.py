@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
-from lumitree.asset.light_field import LightField, unpack
+from lumitree.asset.light_field import LightField
 from lumitree.asset.lit_bins import dense
+from lumitree.asset.packed_colours import unpack
 from lumitree.core.device import on_device, parameter
 from lumitree.core.octahedral import coarse_bin, coarse_solid_angles, solid_angles
 from lumitree.core.photometry import luminance
@@ -120,14 +121,14 @@ class InsideLight:
             bins = self._coarse**2
             packed, scale = ending_by_bin(field)
             self._packed = on_device(mi.UInt32, packed)
-            codes = inside.reach.astype(np.uint32) | inside.visibility.astype(np.uint32) << 8
+            codes = inside.reach.astype(np.uint32)
             self._codes = on_device(mi.UInt32, dense(inside.lit, bins, codes))
             self._gain = parameter(mi.Color3f, *(scale * factor for factor in gain))
             # By the square root of distance.
             self._steps = parameter(mi.Float, (_STEPS - 1) / math.sqrt(inside.distances[-1]))
             at = inside.distances[-1] * np.linspace(0, 1, _STEPS) ** 2
             self._reach = _resampled(inside.reach_curves, inside.distances, at)
-            self._visibility = _resampled(inside.visibility_curves, inside.distances, at)
+            self._visibility = _resampled(np.ones_like(inside.reach_curves), inside.distances, at)
             ending = dense(inside.lit, bins, luminance(unpack(inside.intensity)))
             flux += inside.scale * (ending * coarse_solid_angles(self._resolution)).sum(axis=1)
         many = _RESOLUTION**3 * count > _MAX_ENTRIES
