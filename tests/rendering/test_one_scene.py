@@ -13,7 +13,7 @@ from lumitree.rendering.plugins import proxies
 from support.fields import random_asset
 from support.lamps import GLASS, cube, lamp_of, sphere
 from support.light_fields import random_light_field, with_inside
-from support.slow import slow
+from support.slow import slow_but
 
 BLACK = '<bsdf type="diffuse"><rgb name="reflectance" value="0,0,0"/></bsdf>'
 GLOWS = f'{BLACK}<emitter type="area"><rgb name="radiance" value="6,5,3"/></emitter>'
@@ -97,9 +97,7 @@ def traced_scenes(mi, monkeypatch):
     return traced
 
 
-@pytest.mark.parametrize(
-    "case", ["in the box", slow("overlap"), slow("field"), slow("light field"), "media"]
-)
+@pytest.mark.parametrize("case", slow_but(["media"], CASES))
 def test_images_are_the_same(mi, assets, monkeypatch, case):
     lamps, things, options = CASES[case]
     scene = room(mi, [assets[name] for name in lamps], **things)
@@ -130,3 +128,24 @@ def test_images_are_the_same(mi, assets, monkeypatch, case):
     assert error.mean() < 0.1 * first.mean()
     # 16 values of Student's t with 10 degrees of freedom, at 0.2 %.
     assert (np.abs(difference[lit]) < 6 * error[lit]).all()
+
+
+@pytest.mark.slow
+def test_illuminance_is_the_same(mi, assets, monkeypatch):
+    """In the box of a lamp, below its plate and beside it, and outside of it."""
+    speck = {"type": "scene", "speck": {"type": "sphere", "radius": 0.01, "center": [0, -50, 0]}}
+    points = np.array([[0.1, -0.7, 0.1], [0.8, -0.7, 0.1], [0.3, -2, 0.1]])
+    traced = traced_scenes(mi, monkeypatch)
+    found = []
+    for only in (False, True):
+        monkeypatch.setattr(proxies, "_one_scene_only", lambda only=only: only)
+        traced.clear()
+        lamp = lumitree.Placement(assets["geometry"])
+        found.append(
+            lumitree.illuminance(
+                speck, [lamp], points=points, normals=[0, 1, 0], error=0.2, seed=1
+            ).total
+        )
+        assert len(traced) == (1 if only else 2)
+    assert found[0] == pytest.approx(found[1], rel=0.01)
+    assert found[0].all()
