@@ -20,40 +20,25 @@ def hit_light(
     si: mi.SurfaceInteraction3f,
     it: mi.Interaction3f,
     ds: mi.DirectionSample3f,
-    specular_chain: mi.Bool,
     shown: mi.Bool,
-    bsdf_pdf: mi.Float,
-    emitter_pmf: mi.Float,
     active: mi.Bool,
-) -> tuple[mi.Spectrum, mi.Float, mi.Float, mi.Bool, mi.Bool]:
-    """Light of an emitter that a ray has hit.
+) -> tuple[mi.Spectrum, mi.Float, mi.Bool]:
+    """Light of an emitter that a ray has hit. A ray hits no proxy, so no `DeferredEmitter`.
 
     Args:
         it: the vertex that the ray comes from.
-        specular_chain, bsdf_pdf, emitter_pmf: as for `DeferredEmitter.eval_entered`.
         shown: whether the path gets what shapes of the lamp's geometry emit.
 
     Returns:
-        Radiance; transmittance of a proxy; density with which emitter sampling gives this
-        direction; whether the surface is a proxy; and whether it belongs to the geometry of a lamp.
+        Radiance; density with which emitter sampling gives this direction; and whether the surface
+        belongs to the geometry of a lamp.
     """
-    no = mi.Bool(False)
-    if isinstance(emitter, DeferredEmitter | LampLight):
-        # Only where the scene is not divided.
-        ray = mi.Ray3f(si.p, -si.to_world(si.wi), si.time, si.wavelengths)
-        entering = active & (mi.Frame3f.cos_theta(si.wi) > 0)
-        nowhere = mi.Float(dr.inf), mi.Float(dr.inf)
-        hit = entered_light(
-            emitter, ray, mi.Float(0), it, specular_chain, bsdf_pdf, emitter_pmf, nowhere, entering
-        )
-        return *hit, mi.Bool(True), no
+    if emitter is None or isinstance(emitter, DeferredEmitter | LampLight):
+        return mi.Spectrum(0), mi.Float(0), mi.Bool(False)
     if isinstance(emitter, GeometryEmitter):
         radiance, pdf = emitter.eval_self_emission(si, it, ds, active & shown)
-        return radiance & shown, mi.Float(1), pdf, no, mi.Bool(True)
-    if emitter is None:
-        return mi.Spectrum(0), mi.Float(1), mi.Float(0), no, no
-    pdf = emitter.pdf_direction(it, ds, active)
-    return emitter.eval(si, active), mi.Float(1), pdf, no, no
+        return radiance & shown, pdf, mi.Bool(True)
+    return emitter.eval(si, active), emitter.pdf_direction(it, ds, active), mi.Bool(False)
 
 
 def entered_light(

@@ -21,39 +21,21 @@ from lumitree.trace import medium_paths
 from lumitree.trace.geometric_normals import on_opposite_sides
 
 
-def add_emission(scene: PathScene, path: PathState, hit: Hit) -> mi.Bool:
-    """Add light of the emitter that the ray has hit.
-
-    Returns:
-        Whether that is a proxy, which has then attenuated the path.
-    """
+def add_emission(scene: PathScene, path: PathState, hit: Hit) -> None:
+    """Add light of the emitter that the ray has hit."""
     seen = mi.Bool(hit.hit_surface)
     if scene.hide_emitters:
         seen &= path.depth > 0
     ds = mi.DirectionSample3f(scene.whole, hit.si, path.si_prev)
     emitter_pmf = scene.selection.pmf(ds.emitter, path.si_prev, seen)
     emitter_pmf = dr.select(path.bsdf_delta_prev, 0, emitter_pmf)
-    light, through, emitter_pdf, on_proxy, on_geometry = scene.lamps.call(
-        hit_light,
-        ds.emitter,
-        hit.si,
-        path.si_prev,
-        ds,
-        path.specular_chain,
-        hit.shown,
-        path.bsdf_pdf_prev,
-        emitter_pmf,
-        hit.hit_surface,
+    light, emitter_pdf, on_geometry = scene.lamps.call(
+        hit_light, ds.emitter, hit.si, path.si_prev, ds, hit.shown, hit.hit_surface
     )
     self_pmf = dr.select(path.self_sampled & ~path.bsdf_delta_prev, 1, 0)
     emitter_pdf *= dr.select(on_geometry, self_pmf, emitter_pmf)
     contribution = path.β * mis_weight(path.bsdf_pdf_prev, emitter_pdf) * light
     path.add_light(scene, ds.emitter, contribution, path.specular_chain, seen)
-
-    on_proxy &= hit.hit_surface & hit.si.is_valid()
-    path.valid_ray |= on_proxy & seen & (dr.max(light) > 0)
-    path.β[on_proxy] *= through
-    return on_proxy
 
 
 def sample_emitter(

@@ -139,15 +139,14 @@ class Hit:
 
 @dataclass
 class Vertex:
-    """Where a path goes on: an interaction with a proxy, a surface or a medium."""
+    """Where a path goes on: an interaction with a surface or a medium."""
 
     # fmt: off
     si: mi.SurfaceInteraction3f   # The surface, or the point in the medium
     bsdf: mi.BSDFPtr              # Its BSDF
     owner: mi.UInt32              # As of `Hit`
     shown: mi.Bool                # As of `Hit`
-    on_proxy: mi.Bool             # On a proxy that is traced, which does nothing more
-    active_surface: mi.Bool       # On another surface, which scatters
+    active_surface: mi.Bool       # On a surface, which scatters
     active_medium: mi.Bool        # In a medium, which scatters
     opaque: mi.Bool               # Whether the surface lets no light through
     straight: mi.Bool             # Whether it is glass that bends no ray (`geometry_plugins`)

@@ -14,7 +14,7 @@ from lumitree.rendering.plugins.path_state import (
     Scattering,
     Vertex,
 )
-from lumitree.rendering.plugins.proxies import ALL, MAX_CROSSINGS, NONE
+from lumitree.rendering.plugins.proxies import MAX_CROSSINGS, NONE
 from lumitree.trace import medium_paths
 from lumitree.trace.geometric_normals import is_opaque, on_opposite_sides
 from lumitree.trace.spawning import spawn
@@ -25,12 +25,11 @@ def find_vertex(
     path: PathState,
     hit: Hit,
     free_flight: FreeFlight,
-    on_proxy: mi.Bool,
     max_depth: mi.UInt32,
 ) -> Vertex:
-    """The vertex where a ray has ended. A proxy is left the way it was entered."""
+    """The vertex where a ray has ended."""
     si, bsdf = hit.si, hit.bsdf
-    active = path.active & ~on_proxy & (si.is_valid() | hit.hit_medium)
+    active = path.active & (si.is_valid() | hit.hit_medium)
     active &= path.depth - path.depth_freed + 1 < max_depth
     if scene.has_scattering:
         si[hit.hit_medium] = medium_paths.scattering_point(path.ray, free_flight.distance)
@@ -48,7 +47,6 @@ def find_vertex(
         bsdf,
         hit.owner,
         hit.shown,
-        on_proxy,
         active_surface,
         active_medium,
         opaque,
@@ -90,7 +88,6 @@ def scatter(
     si, bs, owners = vertex.si, scattering.bs, scene.divided.owners
     active = vertex.active_surface | vertex.active_medium
     null = vertex.active_surface & mi.has_flag(bs.sampled_type, mi.BSDFFlags.Null)
-    null |= vertex.on_proxy
     if scene.shows_geometry:
         crossed = vertex.straight & mi.has_flag(bs.sampled_type, mi.BSDFFlags.DeltaTransmission)
         null |= crossed
@@ -108,9 +105,8 @@ def scatter(
     path.bsdf_delta_prev[bounces] = delta
     path.specular_chain &= ~bounces | path.bsdf_delta_prev
     path.self_sampled[bounces] = self_sampled
-    # A ray that goes on behind a proxy, or behind a surface of a lamp, has its light already.
+    # A ray that goes on behind a surface of a lamp has the lamp's light already.
     path.skipped[bounces] = 0
-    path.skipped[vertex.on_proxy] = ALL
     if scene.shows_geometry:
         path.self_emission[bounces] = dr.select(vertex.shown, vertex.owner, NONE)
         path.skipped[bounces | null] |= owners.bit(vertex.owner, active)
@@ -137,10 +133,9 @@ def _next_ray(
         direction[vertex.active_medium] = scattering.phase_wo
     leaks = vertex.opaque & ~null & on_opposite_sides(si, arriving, direction)
     path.ray = spawn(si, direction, scene.extent)
-    on_surface = vertex.on_proxy | vertex.active_surface
     if scene.has_media:
-        path.medium = medium_paths.medium_after(si, path.ray.d, path.medium, on_surface)
-    return (on_surface | vertex.active_medium) & ~leaks
+        path.medium = medium_paths.medium_after(si, path.ray.d, path.medium, vertex.active_surface)
+    return (vertex.active_surface | vertex.active_medium) & ~leaks
 
 
 def roulette(path: PathState, bounces: mi.Bool, rr_depth: int, sampler: mi.Sampler) -> None:
