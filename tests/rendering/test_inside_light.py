@@ -134,7 +134,6 @@ def test_points_and_rays_share_the_light(mi):
     import drjit as dr
 
     from lumitree.core.octahedral import bin_of, solid_angles
-    from lumitree.rendering.sampling.emitter_sampling import RayEnds
     from lumitree.rendering.sampling.light_bins import smooth_bin
     from lumitree.rendering.sampling.light_field import DeviceLightField
     from lumitree.rendering.sampling.light_inside import InsideLight
@@ -162,20 +161,16 @@ def test_points_and_rays_share_the_light(mi):
     )
     field = dataclasses.replace(field, inside=inside)
     gain = (1.0, 1.0, 1.0)
-    light = InsideLight(field, HALF, DeviceLightField(field, HALF), gain, blocked=False)
+    light = InsideLight(field, HALF, DeviceLightField(field, HALF), gain)
     count, coarse, b = 1 << 20, 4, 0.3
     x = mi.Point3f(*(dr.opaque(mi.Float, each) for each in (0.31, -0.22, 0.13)))
     sample = uniform_samples(mi, count).next_2d()
-    point, cell, chance = light.sample_point(x, sample, mi.Bool(True))
-    offset = mi.Vector3f(point - x)
-    distance = dr.norm(offset)
-    direction = offset / distance
-    every = mi.Bool(True)
-    weight = light.contribution(direction, distance, cell, chance, mi.Float(b), every)
+    every, end = mi.Bool(True), mi.Float(dr.inf)
+    direction, target = light.sample_point(x, sample, every)
+    weight = light.contribution(direction, target, mi.Float(b), every)
     plain = mi.warp.square_to_uniform_sphere(uniform_samples(mi, count, 1).next_2d())
-    ends = RayEnds(mi.Float(dr.inf), mi.Float(dr.inf))
-    rest = light.received(x, x, plain, mi.Float(1 / b), ends, every)
-    whole = light.received(x, x, plain, mi.Float(0), ends, every)
+    rest = light.received(x, x, plain, mi.Float(1 / b), end, every)
+    whole = light.received(x, x, plain, mi.Float(0), end, every)
     missing = np.array(whole - rest, np.float64)[1] * 4 * np.pi
     found = np.array(weight, np.float64)[1]
     parts = [

@@ -156,6 +156,33 @@ class LightField:
         )
 
     @property
+    def has_straight_light(self) -> bool:
+        """Whether some of its light is known to be straight."""
+        return not np.array_equal(self.bent, self.intensity)
+
+    @functools.cached_property
+    def bent_light(self) -> "LightField":
+        """The field of its bent light alone, which is all of this field's light."""
+        bins = self.resolution**2
+        bent = self.dense(self.bent)
+        if not bent.any():
+            # A field has light: here the least that can be stored.
+            bent[0, 0] = 1
+        emits = np.flatnonzero(bent.any(axis=1))
+        bent, inside = bent[emits], self.inside
+        if inside is not None:
+            inside = dataclasses.replace(inside, intensity=inside.bent, reach=inside.bent_reach)
+        found = bent[bent != 0]
+        return dataclasses.replace(
+            self,
+            cells=self.cells[emits],
+            lit=np.packbits(bent.reshape(-1, bins) != 0, axis=1),
+            intensity=found,
+            bent=found,
+            inside=inside,
+        )
+
+    @property
     def num_bytes(self) -> int:
         """Bytes of all arrays."""
         inside = 0 if self.inside is None else self.inside.num_bytes

@@ -17,8 +17,9 @@ the proxies that a ray enters by itself (`proxies.DividedScene`).
 Where images show the geometry of a lamp, its shapes are in the scene, and each path gets its light
 once. As long as all vertices since the camera are specular or on surfaces of this lamp, the path
 gets what the lamp's shapes emit (`self_emission`). A scattering in a medium of the lamp's geometry
-counts as a vertex on the lamp. Vertices elsewhere, inside its box too, get its light field,
-which contains all light that its surfaces scatter: so these surfaces get none of it again.
+counts as a vertex on the lamp. Vertices elsewhere, inside its box too, get what the shapes emit
+straight, through nothing that bends it, and the light field, which contains all light that the
+lamp's surfaces bend or scatter: so these surfaces get none of it again.
 After the first vertex that is not specular, the lamp's glass bends no ray (`geometry_plugins`),
 and a crossing of it is a null interaction.
 
@@ -42,7 +43,6 @@ from lumitree.rendering.plugins.bsdf import proxies_left_out
 from lumitree.rendering.plugins.path_emission import (
     add_emission,
     add_emitter_light,
-    add_self_emission,
     sample_emitter,
 )
 from lumitree.rendering.plugins.path_scene import PathScene
@@ -178,11 +178,10 @@ def trace_paths(
         # One call evaluates the BSDF for the emitter's direction and samples the next.
         scattering = sample_scattering(scene, path, vertex, choice.sampled.ds.d, sampler)
         add_emitter_light(scene, path, vertex, choice, scattering)
-        self_sampled = add_self_emission(scene, path, vertex, sampler)
 
         # ---- Update loop variables based on current interaction -----
 
-        bounces = scatter(scene, path, vertex, scattering, self_sampled)
+        bounces = scatter(scene, path, vertex, scattering)
 
         # ---------------------- Russian roulette ----------------------
 

@@ -30,7 +30,13 @@ def find_vertex(
     """The vertex where a ray has ended."""
     si, bsdf = hit.si, hit.bsdf
     active = path.active & (si.is_valid() | hit.hit_medium)
-    active &= path.depth - path.depth_freed + 1 < max_depth
+    # Null interactions do not count, so light may come through them.
+    last = path.depth - path.depth_freed + 1 >= max_depth
+    if scene.has_null_surfaces:
+        passes = hit.hit_surface & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null)
+        active &= ~last | passes
+    else:
+        active &= ~last
     if scene.has_scattering:
         si[hit.hit_medium] = medium_paths.scattering_point(path.ray, free_flight.distance)
     active_surface, active_medium = active & ~hit.hit_medium, active & hit.hit_medium
@@ -49,6 +55,7 @@ def find_vertex(
         hit.shown,
         active_surface,
         active_medium,
+        last,
         opaque,
         straight,
         behind,
@@ -73,13 +80,7 @@ def sample_scattering(
     return Scattering(value, pdf, bs, weight, phase_wo)
 
 
-def scatter(
-    scene: PathScene,
-    path: PathState,
-    vertex: Vertex,
-    scattering: Scattering,
-    self_sampled: mi.Bool,
-) -> mi.Bool:
+def scatter(scene: PathScene, path: PathState, vertex: Vertex, scattering: Scattering) -> mi.Bool:
     """Update paths for the sampled direction.
 
     Returns:
@@ -94,6 +95,7 @@ def scatter(
         # Radiance is not compressed, as it would be in a denser medium.
         path.β[crossed] *= dr.square(bs.eta)
         bs.wo.z = dr.select(vertex.behind, -bs.wo.z, bs.wo.z)
+        path.bent_by[crossed] |= owners.bit(vertex.owner, active)
     bounces = active & ~null
     path.β[active] *= scattering.weight
     path.η[bounces & vertex.active_surface] *= bs.eta
@@ -104,11 +106,12 @@ def scatter(
     delta = vertex.active_surface & mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
     path.bsdf_delta_prev[bounces] = delta
     path.specular_chain &= ~bounces | path.bsdf_delta_prev
-    path.self_sampled[bounces] = self_sampled
     # A ray that goes on behind a surface of a lamp has the lamp's light already.
     path.skipped[bounces] = 0
     if scene.shows_geometry:
         path.self_emission[bounces] = dr.select(vertex.shown, vertex.owner, NONE)
+        path.on_lamp[bounces] = vertex.owner
+        path.bent_by[bounces] = 0
         path.skipped[bounces | null] |= owners.bit(vertex.owner, active)
     path.depth[bounces] += 1
     path.crossings[null] += 1
@@ -118,7 +121,7 @@ def scatter(
         freed = bounces & vertex.shown & owners.scatters(vertex.owner, bounces)
         path.depth_freed[freed & (path.depth_freed < MAX_CROSSINGS)] += 1
     path.valid_ray |= bounces
-    path.active = _next_ray(scene, path, vertex, scattering, null)
+    path.active = _next_ray(scene, path, vertex, scattering, null) & ~(bounces & vertex.last)
     return bounces
 
 

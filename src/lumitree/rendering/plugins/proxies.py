@@ -200,9 +200,9 @@ class Divided(NamedTuple):
     passes: bool
     owners: Owners
 
-    def ends(
+    def end(
         self, ray: mi.Ray3f, distance: mi.Float, lamp: mi.UInt32, ahead: mi.UInt32, active: mi.Bool
-    ) -> tuple[mi.Float, mi.Float]:
+    ) -> mi.Float:
         """Where a ray ends for a lamp whose proxy it enters, as `DeferredEmitter.eval_entered`.
 
         Args:
@@ -214,7 +214,7 @@ class Divided(NamedTuple):
         if self.room is not None:
             # What else is in the box may be behind the lamp's own surface.
             other = self._behind(self.room, ray, lamp, active & mine)
-        return dr.select(mine, distance, dr.inf), dr.select(mine, other, distance)
+        return dr.select(mine, other, distance)
 
     @dr.syntax
     def _behind(self, room: mi.Scene, ray: mi.Ray3f, lamp: mi.UInt32, active: mi.Bool) -> mi.Float:
