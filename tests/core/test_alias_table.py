@@ -46,7 +46,7 @@ def test_samples_have_the_probabilities_that_the_table_states(mi):
     from lumitree.core.alias_table import AliasTable
 
     weights = np.stack(list(rows_of_weights().values()))
-    table, count, samples = AliasTable([weights], *weights.shape), weights.shape[1], 1 << 20
+    table, count, samples = AliasTable([weights], weights.shape), weights.shape[1], 1 << 20
     sample = mi.PCG32(samples, 5).next_float32()
     for row, weight in enumerate(weights):
         index, chance = table.sample(mi.UInt32(row), sample)

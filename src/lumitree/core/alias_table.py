@@ -18,7 +18,7 @@ from lumitree.core.device import on_device, parameter
 
 
 class AliasTable:
-    """Rows of alias tables on the device.
+    """Rows of alias tables on the device, in parts with rows of different lengths.
 
     An entry has two words: a threshold and the index of the alias in one; and the probability of
     its own index. Thresholds are rounded up to what the first word has room for, so that no index
@@ -27,45 +27,69 @@ class AliasTable:
     Args:
         weights: arrays [.., N] of all rows, at least 0, with a positive sum in each row.
             Probabilities are proportional to them but for the rounding.
-        rows, count: number of rows, and N.
+        parts: number of rows, and N, of each part.
     """
 
-    def __init__(self, weights: Iterable[NDArray[np.float64]], rows: int, count: int) -> None:
-        bits = int(count - 1).bit_length()
+    def __init__(
+        self, weights: Iterable[NDArray[np.float64]], *parts: tuple[int, int]
+    ) -> None:
+        bits = int(max(count for _, count in parts) - 1).bit_length()
         steps = 1 << (32 - bits)
-        words = np.empty((rows, count, 2), np.uint32)
-        for row, weight in enumerate(itertools.chain.from_iterable(weights)):
+        sizes = [rows * count for rows, count in parts]
+        words = np.empty((sum(sizes), 2), np.uint32)
+        first = 0
+        for weight in itertools.chain.from_iterable(weights):
+            count = len(weight)
             threshold, alias = alias_row(weight)
             rounded = np.clip(np.ceil(threshold * steps), 1, steps)
             chance = rounded / steps + np.bincount(alias, 1 - rounded / steps, count)
-            first = (rounded.astype(np.uint64) - 1 << bits) | alias.astype(np.uint64)
-            words[row, :, 0] = first
-            words[row, :, 1] = (chance / count).astype(np.float32).view(np.uint32)
+            row = words[first : first + count]
+            row[:, 0] = (rounded.astype(np.uint64) - 1 << bits) | alias.astype(np.uint64)
+            row[:, 1] = (chance / count).astype(np.float32).view(np.uint32)
+            first += count
         self._words = on_device(mi.UInt32, words)
-        self._count, self._bits = parameter(mi.UInt32, count), parameter(mi.UInt32, bits)
+        starts = np.cumsum([0, *sizes[:-1]])
+        self._parts = on_device(
+            mi.UInt32, np.stack([starts, [count for _, count in parts]], axis=1)
+        )
+        self._count, self._bits = parameter(mi.UInt32, parts[0][1]), parameter(mi.UInt32, bits)
         self._steps = parameter(mi.Float, float(steps))
 
     def sample(
-        self, row: mi.UInt32, sample: mi.Float, active: mi.Bool | bool = True
+        self,
+        row: mi.UInt32,
+        sample: mi.Float,
+        active: mi.Bool | bool = True,
+        part: mi.UInt32 | None = None,
     ) -> tuple[mi.UInt32, mi.Float]:
-        """Index for a sample in [0, 1), and its probability."""
-        scaled = sample * mi.Float(self._count)
-        entry = dr.minimum(mi.UInt32(scaled), self._count - 1)
-        word = dr.gather(mi.UInt32, self._words, self._place(row, entry), active)
+        """Index for a sample in [0, 1), and its probability; by default in the first part."""
+        first, count = self._row(row, part)
+        scaled = sample * mi.Float(count)
+        entry = dr.minimum(mi.UInt32(scaled), count - 1)
+        word = dr.gather(mi.UInt32, self._words, 2 * (first + entry), active)
         step = mi.UInt32((scaled - mi.Float(entry)) * self._steps)
         alias = word & ((mi.UInt32(1) << self._bits) - 1)
         index = dr.select(step <= word >> self._bits, entry, alias)
-        return index, self.probability(row, index, active)
+        return index, self.probability(row, index, active, part)
 
     def probability(
-        self, row: mi.UInt32, index: mi.UInt32, active: mi.Bool | bool = True
+        self,
+        row: mi.UInt32,
+        index: mi.UInt32,
+        active: mi.Bool | bool = True,
+        part: mi.UInt32 | None = None,
     ) -> mi.Float:
         """Probability with which `sample` returns an index; 0 where not active."""
-        word = dr.gather(mi.UInt32, self._words, self._place(row, index) + 1, active)
+        first, _ = self._row(row, part)
+        word = dr.gather(mi.UInt32, self._words, 2 * (first + index) + 1, active)
         return dr.reinterpret_array(mi.Float, word)
 
-    def _place(self, row, entry):
-        return 2 * (row * self._count + entry)
+    def _row(self, row, part):
+        """First entry of a row, and N."""
+        if part is None:
+            return row * self._count, self._count
+        found = dr.gather(mi.Vector2u, self._parts, part)
+        return found.x + row * found.y, found.y
 
 
 def alias_row(weights: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

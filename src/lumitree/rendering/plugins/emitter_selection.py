@@ -69,7 +69,7 @@ class EmitterSelection:
         # By the index of an emitter: its probability if it is no lamp.
         pmf = np.zeros(len(emitters))
         if self._has_others:
-            self._others = AliasTable([weights[None, others]], 1, len(others))
+            self._others = AliasTable([weights[None, others]], (1, len(others)))
             self._other_indices = on_device(mi.UInt32, others)
             pmf[others] = _OTHERS * weights[others] / weights.sum()
         numbers = np.array(dr.reinterpret_array(mi.UInt32, scene.emitters_dr()))

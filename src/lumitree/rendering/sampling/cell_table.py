@@ -48,19 +48,32 @@ def cell_table(
     flux: NDArray[np.float64],
     softening: float = 0.0,
 ) -> AliasTable:
-    """A table with a row for each cell of receivers, a multiple of 16, and a column for each cell.
+    """A table of `cell_rows`; arguments as there."""
+    rows = cell_rows(receivers, corners, intensity, scale, flux, softening)
+    return AliasTable(rows, (receivers.count + 1, len(flux)))
+
+
+def cell_rows(
+    receivers: Receivers,
+    corners: mi.Float,
+    intensity: Intensity,
+    scale: mi.Float,
+    flux: NDArray[np.float64],
+    softening: float = 0.0,
+) -> Iterator[NDArray[np.float64]]:
+    """Shares [.., C] of samples that each cell is to get, for each cell of receivers.
 
     One more row is by flux alone.
 
     Args:
+        receivers: a multiple of 16 of their cells.
         corners: mi.Float [C × 2 × 3], lower and upper corner of each.
         scale: the largest intensity.
         softening: distance that is added to that from a cell to a receiver, in square: for
             receivers among the cells. Others, at all distances, count alike with 0.
     """
     maker = _Maker(receivers, corners, intensity, scale, flux, softening)
-    rows = itertools.chain(maker.rows(), [flux[None]])
-    return AliasTable(rows, receivers.count + 1, len(flux))
+    return itertools.chain(maker.rows(), [flux[None]])
 
 
 class _Maker:

@@ -6,6 +6,7 @@ Symbols
 
 from __future__ import annotations
 
+import math
 import weakref
 
 import drjit as dr
@@ -15,12 +16,13 @@ from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
 from lumitree.asset.light_field import LightField
-from lumitree.asset.packed_colours import unpack
+from lumitree.asset.packed_colours import pack_lit
 from lumitree.core.device import on_device, parameter
 from lumitree.core.octahedral import direction_in_bin, solid_angles
 from lumitree.core.photometry import luminance
 from lumitree.rendering.sampling.light_bins import bins_around, unpacked
 from lumitree.rendering.sampling.light_cells import LightCells
+from lumitree.rendering.sampling.light_levels import light_levels
 from lumitree.rendering.sampling.samples import sample_row, scrambled
 
 _LIGHTS: weakref.WeakKeyDictionary[LightField, dict[tuple[object, ...], EmittedLight]] = (
@@ -47,7 +49,9 @@ class EmittedLight:
 
     Attributes:
         scale: mi.Float, unit of intensities.
-        by_cell: [C] luminous flux of cells over `scale`.
+        cells: the cells of all levels (`light_levels`), the finest first.
+        levels: cells and depth of each level.
+        by_cell: [C] luminous flux of the cells of each level, any unit.
     """
 
     def __init__(
@@ -58,16 +62,24 @@ class EmittedLight:
     ) -> None:
         self._count, self._resolution = len(field.cells), field.resolution
         self._num_cells = dr.opaque(mi.UInt32, self._count)
-        self.cells = LightCells(half_extents, field.cells, field.depth)
-        self._packed = on_device(mi.UInt32, field.dense(field.intensity))
-        self.scale = dr.opaque(mi.Float, field.scale * max(gain))
+        levels = light_levels(field, half_extents)
+        self.levels = [(level.cells, level.depth) for level in levels]
+        more = [(level.lower, level.upper) for level in levels[1:]]
+        self.cells = LightCells(half_extents, field.cells, field.depth, more)
+        # A common unit: sums may be larger than the largest intensity of the field.
+        # A power of two, which changes no mantissa.
+        largest = max(level.intensity.max() for level in levels)
+        unit = 2.0 ** math.ceil(math.log2(largest))
+        packed = [pack_lit(level.intensity, unit) for level in levels]
+        self._packed = on_device(mi.UInt32, np.concatenate(packed))
+        self.scale = dr.opaque(mi.Float, field.scale * unit * max(gain))
         self._colour = parameter(mi.Color3f, *(factor / max(gain) for factor in gain))
-        bins = field.dense(luminance(unpack(field.intensity)))
-        flux = np.asarray(bins * solid_angles(field.resolution), np.float64)
-        self.by_cell: NDArray[np.float64] = flux.sum(axis=1)
-        cumulated = np.cumsum(flux, axis=1)
+        self.by_cell = [level.flux for level in levels]
+        flux = luminance(levels[0].intensity) * solid_angles(field.resolution)
+        cumulated = np.cumsum(flux, axis=1, dtype=np.float64)
         self._bin_chances = on_device(mi.Float, cumulated / cumulated[:, -1:])
-        self._cell_chances = on_device(mi.Float, np.cumsum(self.by_cell / self.by_cell.sum()))
+        total = np.cumsum(self.by_cell[0])
+        self._cell_chances = on_device(mi.Float, total / total[-1])
 
     def intensity(self, cell: mi.UInt32, index: mi.UInt32, active: mi.Bool | bool) -> mi.Color3f:
         """Radiant intensity of a bin of a cell."""

@@ -100,7 +100,7 @@ class LampChoice:
         even = lamps.intensities.mean(axis=1, keepdims=True)
         intensities = (1 - _EVEN_PART) * lamps.intensities + _EVEN_PART * even
         weights = _table(lamps, intensities, low, side, shape)
-        self._table = AliasTable(weights, int(shape.prod()), count)
+        self._table = AliasTable(weights, (int(shape.prod()), count))
         rows = np.zeros((count, 4 * _PACKETS))
         rows[:, :3], rows[:, 3] = lamps.centres, lamps.radii
         rows[:, 4:7], rows[:, 8:11] = intensities[:, :3], intensities[:, 3:]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -20,19 +22,25 @@ class LightCells:
     Args:
         cells: [C, 3] coordinates, in Morton order.
         depth: the grid has 2**depth cells a side.
+        more: lower and upper corners [.., 3] of boxes that follow the cells.
 
     Attributes:
         octree: of the cells, whose leaves are numbered as they are.
-        corners: mi.Float [C × 2 × 3], lower and upper corner of each.
+        corners: mi.Float [C × 2 × 3], lower and upper corner of each cell or box.
         volume: mi.Float [C].
     """
 
     def __init__(
-        self, half_extents: NDArray[np.float64], cells: NDArray[np.integer], depth: int
+        self,
+        half_extents: NDArray[np.float64],
+        cells: NDArray[np.integer],
+        depth: int,
+        more: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]] = (),
     ) -> None:
         children = build_children(cells.astype(np.int64), np.full(len(cells), depth))
         self.octree = Octree(children, depth, half_extents)
-        lower, upper = grid_boxes_inside(half_extents, cells, depth)
+        boxes = grid_boxes_inside(half_extents, cells, depth), *more
+        lower, upper = (np.concatenate(each) for each in zip(*boxes, strict=True))
         self.corners = on_device(mi.Float, np.stack([lower, upper], axis=1))
         self.volume = on_device(mi.Float, (upper - lower).prod(axis=1))
 

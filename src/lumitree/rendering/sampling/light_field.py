@@ -34,7 +34,9 @@ the field is that of the bent light alone.
 
 from __future__ import annotations
 
+import itertools
 import weakref
+from collections.abc import Iterator
 from typing import Any
 
 import drjit as dr
@@ -44,12 +46,15 @@ from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
 from lumitree.asset.light_field import LightField
-from lumitree.core.device import parameter
+from lumitree.core.alias_table import AliasTable
+from lumitree.core.device import on_device, parameter
 from lumitree.core.octahedral import bin_of
-from lumitree.rendering.sampling.cell_table import cell_table
+from lumitree.octree.build import morton
+from lumitree.rendering.sampling.cell_table import cell_rows
 from lumitree.rendering.sampling.emitted_light import EmittedLight, emitted_light
 from lumitree.rendering.sampling.emitter_sampling import UNIFORM_FRACTION, Target
 from lumitree.rendering.sampling.light_bins import smooth_bin
+from lumitree.rendering.sampling.light_levels import LevelChoice, level_shells
 from lumitree.rendering.sampling.proxy import cone_pdf, sample_cone
 from lumitree.rendering.sampling.receiver_cells import ReceiverCells
 from lumitree.rendering.sampling.samples import divide_sample, resample, scrambled
@@ -58,8 +63,9 @@ from lumitree.rendering.sampling.samples import divide_sample, resample, scrambl
 _RESOLUTION, _NUM_SHELLS, _SHELL_WIDTH = 16, 4, 0.3
 # Entries of the table, of 8 bytes: lamps with more cells have fewer rows.
 _MAX_ENTRIES = 1 << 24
-# Points that one is chosen of. With more, a sample takes longer than its noise is worth.
-_CANDIDATES = 4
+# Points that one is chosen of, at the finest level and at others. With more, a sample takes longer
+# than its noise is worth.
+_CANDIDATES, _FAR_CANDIDATES = 4, 2
 
 _LIGHTS: weakref.WeakKeyDictionary[LightField, dict[tuple[object, ...], DeviceLightField]] = (
     weakref.WeakKeyDictionary()
@@ -105,16 +111,59 @@ class DeviceLightField:
         self.emitted = emitted or EmittedLight(field, half_extents, gain)
         self.cells, self.scale = self.emitted.cells, self.emitted.scale
         count, self._resolution = len(field.cells), field.resolution
+        num_levels = len(self.emitted.levels)
+        self._level = LevelChoice(half_extents, field.depth, num_levels)
         self._radius = parameter(mi.Float, float(np.linalg.norm(half_extents)))
         resolution = _RESOLUTION
         while resolution > 2 and resolution**2 * _NUM_SHELLS * count > _MAX_ENTRIES:
             resolution //= 2
         self.diffuse = dr.rcp(np.pi * self._radius)
-        self._around = ReceiverCells(half_extents, resolution, _NUM_SHELLS, _SHELL_WIDTH)
-        by_cell = self.emitted.by_cell
-        self._table = cell_table(
-            self._around, self.cells.corners, self._towards, self.scale, by_cell
+        rows, parts, records, parents = [], [], [], []
+        first = 0
+        for level, flux in enumerate(self.emitted.by_cell):
+            farthest, nearest = level_shells(
+                half_extents, field.depth, num_levels, level, _SHELL_WIDTH, _NUM_SHELLS - 1
+            )
+            shells = nearest - farthest + 1
+            around = ReceiverCells(half_extents, resolution, shells, _SHELL_WIDTH, farthest)
+            if level == 0:
+                self._around = around
+            rows.append(self._rows(around, first, flux))
+            parts.append((around.count + 1, len(flux)))
+            candidates = _FAR_CANDIDATES if level else _CANDIDATES
+            records.append([first, farthest, nearest, candidates])
+            cells, _ = self.emitted.levels[level]
+            codes = morton(field.cells >> level)
+            parents.append(first + np.searchsorted(morton(cells), codes))
+            first += len(flux)
+        self._levels = on_device(mi.UInt32, records)
+        self._parents = on_device(mi.UInt32, np.stack(parents, axis=1))
+        self._num_levels = parameter(mi.UInt32, num_levels)
+        self._table = AliasTable(itertools.chain(*rows), *parts)
+
+    def _rows(
+        self, around: ReceiverCells, first: int, flux: NDArray[np.float64]
+    ) -> Iterator[NDArray[np.float64]]:
+        """Rows of the table for the cells of a level, which begin with the cell `first`."""
+        start, count = parameter(mi.UInt32, first), len(flux)
+        corners = dr.gather(
+            mi.Float, self.cells.corners, dr.arange(mi.UInt32, 6 * count) + 6 * start
         )
+
+        def towards(cell, offset, _distance):
+            index = bin_of(offset, self._resolution)
+            return self.emitted.intensity(cell + start, index, True)
+
+        return cell_rows(around, corners, towards, self.scale, flux)
+
+    def _place(
+        self, x: mi.Point3f, sample: mi.Float
+    ) -> tuple[mi.UInt32, mi.Vector4u, mi.UInt32]:
+        """Level of a receiver, the level's record, and the row of the table."""
+        level = self._level.sample(x, sample)
+        record = dr.gather(mi.Vector4u, self._levels, level)
+        row = self._around.index(x, mi.Vector2u(record.y, record.z))
+        return level, record, row
 
     def sample(
         self, x: mi.Point3f, sample: mi.Point2f, active: mi.Bool | bool = True
@@ -169,46 +218,53 @@ class DeviceLightField:
         density = dr.lerp(density, cone_pdf(x, self._radius), UNIFORM_FRACTION)
         return radiance, dr.select(active, density, 0)
 
+    @dr.syntax
     def sample_point(
         self,
         x: mi.Point3f,
         sample: mi.Point2f,
         active: mi.Bool | bool = True,
     ) -> tuple[mi.Vector3f, Target]:
-        """Direction towards a point of a cell, and the point: one of `_CANDIDATES`.
+        """Direction towards a point of a cell of the receiver's level, and the point.
 
         Resampled importance sampling (Talbot et al. 2005): candidates come from the table, and one
         is chosen in proportion to what `contribution` has with a b of 1 / πR, about that of a
         diffuse surface; R is the radius of the lamp's bounding sphere. It counts for all, by their
         mean.
         """
-        row = self._around.index(x)
         # Bits of the sample that the candidates do not depend on.
-        choice = scrambled(mi.Point2f(sample.y, sample.x)).x
+        random = scrambled(mi.Point2f(sample.y, sample.x))
+        level, record, row = self._place(x, random.y)
+        count, step = record.w, dr.rcp(mi.Float(record.w))
+        candidate, place, choice = mi.UInt32(0), mi.Float(sample.x), random.x
         total, chosen = mi.Float(0), mi.Float(0)
         offset, target = mi.Vector3f(0, 0, 1), Target.at(mi.Float(1))
-        for candidate in range(_CANDIDATES):
-            place = sample.x + candidate / _CANDIDATES
-            place = dr.select(place < 1, place, place - 1)
-            cell, chance = self._table.sample(row, place, active)
+        found, pmf, found_bins = mi.UInt32(0), mi.Float(0), mi.UInt32(0)
+        while dr.hint(active & (candidate < count), mode="symbolic"):
+            cell, chance = self._table.sample(row, place, active, level)
+            cell += record.x
             point = self.cells.point(cell, scrambled(mi.Point2f(place, sample.y)), active)
             here = mi.Vector3f(point - x)
             bins = smooth_bin(-here, self._resolution)
             light = dr.sum(self.emitted.intensity(cell, bins, active))
             volume = dr.gather(mi.Float, self.cells.volume, cell, active)
-            density = chance * dr.squared_norm(here) + volume * self.diffuse
-            light /= density
+            light /= chance * dr.squared_norm(here) + volume * self.diffuse
             total += light
             taken, choice = resample(choice, light, total)
             # The first one stays where no candidate sends light.
             taken |= candidate == 0
             chosen = dr.select(taken, light, chosen)
             offset = dr.select(taken, here, offset)
-            target.cell = dr.select(taken, cell, target.cell)
-            target.pmf = dr.select(taken, chance, target.pmf)
-            target.bins = dr.select(taken, bins, target.bins)
-        target.factor = dr.select(chosen > 0, total / (_CANDIDATES * chosen), 0)
-        target.distance, target.total = dr.norm(offset), total / _CANDIDATES
+            found = dr.select(taken, cell, found)
+            pmf = dr.select(taken, chance, pmf)
+            found_bins = dr.select(taken, bins, found_bins)
+            candidate += 1
+            place += step
+            place = dr.select(place < 1, place, place - 1)
+        target.cell, target.pmf, target.bins = found, pmf, found_bins
+        total *= step
+        target.factor = dr.select(chosen > 0, total / chosen, 0)
+        target.distance, target.total = dr.norm(offset), total
         return offset / target.distance, target
 
     def contribution(
@@ -243,38 +299,37 @@ class DeviceLightField:
             inverse: 1 / b; 0 for the whole radiance.
             end: distance from `entry` at which the ray ends.
         """
-        row = self._around.index(x)
+        # Other bits of the direction than the bins depend on.
+        level, record, row = self._place(x, scrambled(mi.Point2f(direction.z, direction.x)).x)
         shared = mi.Bool(active) & (inverse > 0)
         bins = smooth_bin(-direction, self._resolution, entry)
 
         def visit(state, cell, start, length, active):
             near = start + distance
-            inverse_volume = dr.rcp(dr.gather(mi.Float, self.cells.volume, cell, active))
-            chance = self._table.probability(row, cell, active & shared)
-            left = left_part(chance, inverse_volume, inverse, near, length)
-            radiance = self.emitted.intensity(cell, bins, active) * (left * inverse_volume)
+            shares = active & shared
+            parent = dr.gather(mi.UInt32, self._parents, cell * self._num_levels + level, shares)
+            chance = self._table.probability(row, parent - record.x, shares, level)
+            volume = dr.gather(mi.Float, self.cells.volume, parent, shares)
+            left = left_part(dr.select(shares, chance / volume, 0), inverse, near, length)
+            left /= dr.gather(mi.Float, self.cells.volume, cell, active)
+            radiance = left * self.emitted.intensity(cell, bins, active)
             return (state[0] + dr.select(active, radiance, 0),), active
 
         state, span = (mi.Color3f(0),), (mi.Float(0), end)
         return self.cells.octree.traverse(entry, direction, active, visit, state, span)[0]
 
-    def _towards(self, cell, offset, _distance):
-        """Radiant intensity (mi.Color3f) of a cell in the direction of a mi.Vector3f."""
-        return self.emitted.intensity(cell, bin_of(offset, self._resolution), True)
-
 
 def left_part(
-    chance: mi.Float, inverse_volume: mi.Float, inverse: mi.Float, near: mi.Float, length: mi.Float
+    per_volume: mi.Float, inverse: mi.Float, near: mi.Float, length: mi.Float
 ) -> mi.Float:
     """∫ dr / (1 + k² r²) of `DeviceLightField.received` over a cell.
 
     Args:
-        chance: p.
-        inverse_volume: 1 / V.
-        inverse: 1 / b.
+        per_volume: p / V.
+        inverse: 1 / b; where it is 0, the result is `length`.
         near, length: r₀ and r₁ - r₀.
     """
-    k = dr.sqrt(chance * inverse_volume * inverse)
+    k = dr.sqrt(per_volume * inverse)
     left = length * dr.rcp(dr.fma(k * k, near * (near + length), 1))
     z = k * left
     return left * dr.select(z > 1e-3, dr.atan(z) / z, 1)

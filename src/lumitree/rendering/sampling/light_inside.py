@@ -179,7 +179,7 @@ class InsideLight:
             near = start + distance
             inverse_volume = dr.rcp(dr.gather(mi.Float, self.cells.volume, cell, active))
             chance = self._table.probability(row, cell, active & shared)
-            left = left_part(chance, inverse_volume, inverse, near, length)
+            left = left_part(chance * inverse_volume, inverse, near, length)
             middle = near + length / 2
             light = self._light(cell, -direction, middle, active)
             return (state[0] + dr.select(active, light * (left * inverse_volume), 0),), active

@@ -22,6 +22,7 @@ class ReceiverCells:
     Args:
         resolution: bins of direction a side.
         shell_width: of a shell in R / distance.
+        first_shell: receivers that are farther away are in this one.
     """
 
     def __init__(
@@ -30,19 +31,25 @@ class ReceiverCells:
         resolution: int,
         num_shells: int,
         shell_width: float,
+        first_shell: int = 0,
     ) -> None:
-        self.resolution, self.num_shells = resolution, num_shells
+        self.resolution = resolution
         self.num_bins = resolution**2
         self.count = num_shells * self.num_bins
         self._width = shell_width
+        self._shells = parameter(mi.Vector2u, first_shell, first_shell + num_shells - 1)
         self._radius = parameter(mi.Float, float(np.linalg.norm(half_extents)))
         self._half = parameter(mi.Point3f, *half_extents.tolist())
 
-    def index(self, x: mi.Point3f) -> mi.UInt32:
-        """Index of the cell of a point."""
+    def index(self, x: mi.Point3f, shells: mi.Vector2u | None = None) -> mi.UInt32:
+        """Index of the cell of a point.
+
+        `shells`: the first and the last one, if not those of this object.
+        """
+        first, last = self._shells if shells is None else shells
         offset = mi.Vector3f(x)
         nearness = self._radius * dr.rsqrt(dr.squared_norm(offset)) / self._width
-        shell = mi.UInt32(dr.minimum(nearness, self.num_shells - 1))
+        shell = dr.clip(mi.UInt32(dr.minimum(nearness, mi.Float(last))), first, last) - first
         return shell * self.num_bins + bin_of(offset, self.resolution, bevelled=False)
 
     def point(self, cell: mi.UInt32, sample: mi.Point2f, shell_sample: mi.Float) -> mi.Point3f:
@@ -50,7 +57,8 @@ class ReceiverCells:
         direction, _ = direction_in_bin(
             cell % self.num_bins, sample, self.resolution, bevelled=False
         )
-        nearness = (mi.Float(cell // self.num_bins) + shell_sample) * self._width
+        shell = cell // self.num_bins + self._shells.x
+        nearness = (mi.Float(shell) + shell_sample) * self._width
         surface = dr.min(self._half / dr.abs(direction))
         # Beyond 50 R nothing changes any more but the rounding.
         distance = dr.maximum(self._radius / dr.maximum(nearness, 0.02), 1.001 * surface)
