@@ -43,6 +43,12 @@ def pack(colours: NDArray[np.floating]) -> NDArray[np.uint32]:
     return np.where(mantissa.any(axis=-1), packed, 0).astype(np.uint32)
 
 
+def divided(packed: NDArray[np.uint32], divisor: float) -> NDArray[np.uint32]:
+    """RGB9_E5 numbers [...] over a power of two of at least 1; 0 where they cannot be stored."""
+    steps = np.uint32(int(np.log2(divisor)) << EXPONENT_SHIFT)
+    return np.where(packed >= steps, packed - steps, 0).astype(np.uint32)
+
+
 def pack_part(colours: NDArray[np.floating], whole: NDArray[np.uint32]) -> NDArray[np.uint32]:
     """Colours [N, 3] from 0 to 1 as RGB9_E5 numbers, in no channel above the numbers `whole`."""
     return pack(np.minimum(colours, unpack(whole)))

@@ -16,13 +16,19 @@ from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
 from lumitree.asset.light_field import LightField
-from lumitree.asset.packed_colours import pack_lit
+from lumitree.asset.packed_colours import divided, pack_lit
 from lumitree.core.device import on_device, parameter
-from lumitree.core.octahedral import direction_in_bin, solid_angles
+from lumitree.core.octahedral import direction_in_bin
 from lumitree.core.photometry import luminance
 from lumitree.rendering.sampling.light_bins import bins_around, unpacked
 from lumitree.rendering.sampling.light_cells import LightCells
-from lumitree.rendering.sampling.light_levels import light_levels
+from lumitree.rendering.sampling.light_levels import (
+    POINTS,
+    LevelChoice,
+    level_limits,
+    light_levels,
+    points_around,
+)
 from lumitree.rendering.sampling.samples import sample_row, scrambled
 
 _LIGHTS: weakref.WeakKeyDictionary[LightField, dict[tuple[object, ...], EmittedLight]] = (
@@ -50,7 +56,8 @@ class EmittedLight:
     Attributes:
         scale: mi.Float, unit of intensities.
         cells: the cells of all levels (`light_levels`), the finest first.
-        levels: cells and depth of each level.
+        levels: coordinates of the cells of each level.
+        choice: of the level of receivers.
         by_cell: [C] luminous flux of the cells of each level, any unit.
     """
 
@@ -61,25 +68,39 @@ class EmittedLight:
         gain: tuple[float, float, float] = (1.0, 1.0, 1.0),
     ) -> None:
         self._count, self._resolution = len(field.cells), field.resolution
-        self._num_cells = dr.opaque(mi.UInt32, self._count)
         levels = light_levels(field, half_extents)
-        self.levels = [(level.cells, level.depth) for level in levels]
+        self.levels = [level.cells for level in levels]
         more = [(level.lower, level.upper) for level in levels[1:]]
         self.cells = LightCells(half_extents, field.cells, field.depth, more)
         # A common unit: sums may be larger than the largest intensity of the field.
         # A power of two, which changes no mantissa.
         largest = max(level.intensity.max() for level in levels)
         unit = 2.0 ** math.ceil(math.log2(largest))
-        packed = [pack_lit(level.intensity, unit) for level in levels]
+        packed = [field.dense(divided(field.intensity, unit))]
+        packed += [pack_lit(level.intensity, unit) for level in levels[1:]]
         self._packed = on_device(mi.UInt32, np.concatenate(packed))
         self.scale = dr.opaque(mi.Float, field.scale * unit * max(gain))
         self._colour = parameter(mi.Color3f, *(factor / max(gain) for factor in gain))
-        self.by_cell = [level.flux for level in levels]
-        flux = luminance(levels[0].intensity) * solid_angles(field.resolution)
-        cumulated = np.cumsum(flux, axis=1, dtype=np.float64)
+        self.by_cell = [level.flux.sum(axis=1) for level in levels]
+        cumulated = np.cumsum(levels[0].flux, axis=1)
         self._bin_chances = on_device(mi.Float, cumulated / cumulated[:, -1:])
         total = np.cumsum(self.by_cell[0])
         self._cell_chances = on_device(mi.Float, total / total[-1])
+        self._ends = np.cumsum([0, *map(len, self.levels)]).tolist()
+        errors = self._level_errors(half_extents)
+        self.choice = LevelChoice(half_extents, level_limits(errors, field.depth))
+
+    def _level_errors(self, half_extents: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Relative differences of the irradiance of levels beyond 0, as of `level_limits`."""
+        x, n = (on_device(mi.Point3f, each) for each in points_around(half_extents))
+        found = []
+        for level in range(len(self.levels)):
+            random = mi.PCG32(dr.width(x), initstate=dr.opaque(mi.UInt64, level))
+            light = self.irradiance(x, mi.Vector3f(n), random, mi.Bool(True), level)
+            mean = luminance(np.array(light, np.float64).T).reshape(-1, POINTS).mean(axis=1)
+            found.append(mean)
+        differences = np.array(found[1:]).reshape(-1, len(found[0])) - found[0]
+        return np.sqrt(np.square(differences).mean(axis=1)) / found[0].mean()
 
     def intensity(self, cell: mi.UInt32, index: mi.UInt32, active: mi.Bool | bool) -> mi.Color3f:
         """Radiant intensity of a bin of a cell."""
@@ -88,14 +109,16 @@ class EmittedLight:
 
     @dr.syntax
     def irradiance(
-        self, x: mi.Point3f, n: mi.Vector3f, random: mi.PCG32, active: mi.Bool
+        self, x: mi.Point3f, n: mi.Vector3f, random: mi.PCG32, active: mi.Bool, level: int = 0
     ) -> mi.Color3f:
         """Irradiance of receivers outside the box that nothing shadows: Σ I cos θ / r².
 
-        Each cell has its light in one random point. The mean over the points is its light.
+        Each cell of a level has its light in one random point. The mean over the points is its
+        light.
         """
-        total, cell = mi.Color3f(0), dr.zeros(mi.UInt32, dr.width(x))
-        while active & (cell < self._num_cells):
+        first, end = (parameter(mi.UInt32, each) for each in self._ends[level : level + 2])
+        total, cell = mi.Color3f(0), dr.zeros(mi.UInt32, dr.width(x)) + first
+        while active & (cell < end):
             within = mi.Point3f(random.next_float32(), random.next_float32(), random.next_float32())
             offset = mi.Vector3f(self.cells.point(cell, within, active) - x)
             projected = dr.dot(n, offset)

@@ -42,15 +42,24 @@ class LightCells:
         boxes = grid_boxes_inside(half_extents, cells, depth), *more
         lower, upper = (np.concatenate(each) for each in zip(*boxes, strict=True))
         self.corners = on_device(mi.Float, np.stack([lower, upper], axis=1))
+        boxes = lower, (upper - lower).prod(axis=1), upper - lower, np.zeros(len(lower))
+        self._boxes = on_device(mi.Float, np.column_stack(boxes))
         self.volume = on_device(mi.Float, (upper - lower).prod(axis=1))
 
     def point(
         self, cell: mi.UInt32, within: mi.Point3f, active: mi.Bool | bool = True
     ) -> mi.Point3f:
         """Point of a cell for numbers in [0, 1)³."""
-        lower = dr.gather(mi.Point3f, self.corners, 2 * cell, active)
-        upper = dr.gather(mi.Point3f, self.corners, 2 * cell + 1, active)
-        return dr.lerp(lower, upper, within)
+        return self.point_and_volume(cell, within, active)[0]
+
+    def point_and_volume(
+        self, cell: mi.UInt32, within: mi.Point3f, active: mi.Bool | bool = True
+    ) -> tuple[mi.Point3f, mi.Float]:
+        """As `point`, and the volume of the cell."""
+        # Four numbers are one load.
+        lower, size = (dr.gather(mi.Vector4f, self._boxes, 2 * cell + i, active) for i in (0, 1))
+        corner, side = mi.Point3f(lower.x, lower.y, lower.z), mi.Vector3f(size.x, size.y, size.z)
+        return dr.fma(side, within, corner), lower.w
 
     def border(
         self, x: mi.Point3f, direction: mi.Vector3f, cell: mi.UInt32, active: mi.Bool | bool = True

@@ -54,7 +54,6 @@ from lumitree.rendering.sampling.cell_table import cell_rows
 from lumitree.rendering.sampling.emitted_light import EmittedLight, emitted_light
 from lumitree.rendering.sampling.emitter_sampling import UNIFORM_FRACTION, Target
 from lumitree.rendering.sampling.light_bins import smooth_bin
-from lumitree.rendering.sampling.light_levels import LevelChoice, level_shells
 from lumitree.rendering.sampling.proxy import cone_pdf, sample_cone
 from lumitree.rendering.sampling.receiver_cells import ReceiverCells
 from lumitree.rendering.sampling.samples import divide_sample, resample, scrambled
@@ -65,7 +64,8 @@ _RESOLUTION, _NUM_SHELLS, _SHELL_WIDTH = 16, 4, 0.3
 _MAX_ENTRIES = 1 << 24
 # Points that one is chosen of, at the finest level and at others. With more, a sample takes longer
 # than its noise is worth.
-_CANDIDATES, _FAR_CANDIDATES = 4, 2
+import os
+_CANDIDATES, _FAR_CANDIDATES = map(int, os.environ.get("CAND", "4,2").split(","))
 
 _LIGHTS: weakref.WeakKeyDictionary[LightField, dict[tuple[object, ...], DeviceLightField]] = (
     weakref.WeakKeyDictionary()
@@ -111,8 +111,6 @@ class DeviceLightField:
         self.emitted = emitted or EmittedLight(field, half_extents, gain)
         self.cells, self.scale = self.emitted.cells, self.emitted.scale
         count, self._resolution = len(field.cells), field.resolution
-        num_levels = len(self.emitted.levels)
-        self._level = LevelChoice(half_extents, field.depth, num_levels)
         self._radius = parameter(mi.Float, float(np.linalg.norm(half_extents)))
         resolution = _RESOLUTION
         while resolution > 2 and resolution**2 * _NUM_SHELLS * count > _MAX_ENTRIES:
@@ -121,9 +119,7 @@ class DeviceLightField:
         rows, parts, records, parents = [], [], [], []
         first = 0
         for level, flux in enumerate(self.emitted.by_cell):
-            farthest, nearest = level_shells(
-                half_extents, field.depth, num_levels, level, _SHELL_WIDTH, _NUM_SHELLS - 1
-            )
+            farthest, nearest = self.emitted.choice.shells(level, _SHELL_WIDTH, _NUM_SHELLS)
             shells = nearest - farthest + 1
             around = ReceiverCells(half_extents, resolution, shells, _SHELL_WIDTH, farthest)
             if level == 0:
@@ -132,13 +128,12 @@ class DeviceLightField:
             parts.append((around.count + 1, len(flux)))
             candidates = _FAR_CANDIDATES if level else _CANDIDATES
             records.append([first, farthest, nearest, candidates])
-            cells, _ = self.emitted.levels[level]
-            codes = morton(field.cells >> level)
-            parents.append(first + np.searchsorted(morton(cells), codes))
+            codes = morton(self.emitted.levels[level])
+            parents.append(first + np.searchsorted(codes, morton(field.cells >> level)))
             first += len(flux)
         self._levels = on_device(mi.UInt32, records)
         self._parents = on_device(mi.UInt32, np.stack(parents, axis=1))
-        self._num_levels = parameter(mi.UInt32, num_levels)
+        self._num_levels = parameter(mi.UInt32, len(parents))
         self._table = AliasTable(itertools.chain(*rows), *parts)
 
     def _rows(
@@ -160,7 +155,7 @@ class DeviceLightField:
         self, x: mi.Point3f, sample: mi.Float
     ) -> tuple[mi.UInt32, mi.Vector4u, mi.UInt32]:
         """Level of a receiver, the level's record, and the row of the table."""
-        level = self._level.sample(x, sample)
+        level = self.emitted.choice.sample(x, sample)
         record = dr.gather(mi.Vector4u, self._levels, level)
         row = self._around.index(x, mi.Vector2u(record.y, record.z))
         return level, record, row
@@ -243,11 +238,11 @@ class DeviceLightField:
         while dr.hint(active & (candidate < count), mode="symbolic"):
             cell, chance = self._table.sample(row, place, active, level)
             cell += record.x
-            point = self.cells.point(cell, scrambled(mi.Point2f(place, sample.y)), active)
+            within = scrambled(mi.Point2f(place, sample.y))
+            point, volume = self.cells.point_and_volume(cell, within, active)
             here = mi.Vector3f(point - x)
             bins = smooth_bin(-here, self._resolution)
             light = dr.sum(self.emitted.intensity(cell, bins, active))
-            volume = dr.gather(mi.Float, self.cells.volume, cell, active)
             light /= chance * dr.squared_norm(here) + volume * self.diffuse
             total += light
             taken, choice = resample(choice, light, total)

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 
 import drjit as dr
 import mitsuba as mi
@@ -27,12 +28,16 @@ from lumitree.core.photometry import luminance
 from lumitree.octree.build import morton
 from lumitree.octree.leaves import grid_boxes_inside
 
-# Depth of the coarsest level.
-_COARSEST = 3
-# A grid of this many cells a side is fine enough at a distance of 1 from the lamp's box, local
-# units, and a grid of half as many at twice the distance. Distances are multiplied by random
-# numbers from 1 to 1 + `_BLEND`.
-_SIDES, _BLEND = 48.0, 0.5
+# Sums at most, and the depth of the coarsest level.
+_SUMS, _COARSEST = 4, 2
+# A level is for receivers where its irradiance differs by this much, root mean square, from that of
+# level 0, and at a distance from the lamp's box of at least `_LEAST` times the side of its cells
+# over the side of the grid. Distances are multiplied by random numbers from 1 to 1 + `_BLEND`.
+_ERROR, _LEAST, _BLEND = 0.01, 24.0, 0.5
+# Errors are measured at this distance from the box, local units, by patches of its faces, with
+# `_SUBDIVISION`² points each.
+ERROR_DISTANCE, _PATCHES, _SUBDIVISION = 4.0, 8, 2
+POINTS = _SUBDIVISION**2
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -54,9 +59,9 @@ class Level:
 
     @functools.cached_property
     def flux(self) -> NDArray[np.float64]:
-        """Luminous flux [C], in the unit of the field's scale."""
-        angles = solid_angles(int(np.sqrt(self.intensity.shape[1])))
-        return (luminance(self.intensity) @ angles).astype(np.float64)
+        """Luminous flux [C, R²] by bin, in the unit of the field's scale."""
+        angles = solid_angles(math.isqrt(self.intensity.shape[1]))
+        return luminance(self.intensity) * angles
 
 
 def light_levels(field: LightField, half_extents: NDArray[np.float64]) -> list[Level]:
@@ -64,7 +69,7 @@ def light_levels(field: LightField, half_extents: NDArray[np.float64]) -> list[L
     lower, upper = grid_boxes_inside(half_extents, field.cells, field.depth)
     intensity = field.dense(unpack(field.intensity).astype(np.float32))
     levels = [Level(field.cells, field.depth, lower, upper, intensity)]
-    while levels[-1].depth > _COARSEST:
+    while levels[-1].depth > _COARSEST and len(levels) <= _SUMS:
         levels.append(_summed(levels[-1], half_extents))
     return levels
 
@@ -74,9 +79,11 @@ def _summed(level: Level, half_extents: NDArray[np.float64]) -> Level:
     cells, depth = level.cells[first] >> 1, level.depth - 1
 
     def total(values):
-        return np.add.reduceat(values, first, axis=0)
+        # Of rows of numbers: sums of rows of colours take longer.
+        rows = values.reshape(len(values), -1)
+        return np.add.reduceat(rows, first, axis=0).reshape(-1, *values.shape[1:])
 
-    flux = level.flux[:, None]
+    flux = level.flux.sum(axis=1, keepdims=True)
     middle, variance = (level.lower + level.upper) / 2, (level.upper - level.lower) ** 2 / 12
     mean = total(flux * middle) / total(flux)
     spread = total(flux * (variance + middle**2)) / total(flux) - mean**2
@@ -88,38 +95,67 @@ def _summed(level: Level, half_extents: NDArray[np.float64]) -> Level:
 
 
 class LevelChoice:
-    """The level of receivers.
+    """The level of receivers: the coarsest one whose limit their distance exceeds.
 
     Args:
         half_extents: of the lamp's box.
-        depth: of level 0.
-        count: L.
+        limits: [L - 1] distances from the box, local units, in increasing order, of the levels
+            beyond level 0.
     """
 
-    def __init__(self, half_extents: NDArray[np.float64], depth: int, count: int) -> None:
+    def __init__(self, half_extents: NDArray[np.float64], limits: NDArray[np.float64]) -> None:
+        self._radius, self._inner = float(np.linalg.norm(half_extents)), float(half_extents.min())
+        self._limits = limits
         self._half = parameter(mi.Vector3f, *half_extents.tolist())
-        self._limit = parameter(mi.Float, (1 << depth) / _SIDES)
-        self._last = parameter(mi.Float, count - 1.0)
+        padded = np.full(_SUMS, np.inf)
+        padded[: len(limits)] = limits
+        self._on_device = [parameter(mi.Float, limit) for limit in padded.tolist()]
 
     def sample(self, x: mi.Point3f, sample: mi.Float) -> mi.UInt32:
         """Level of a receiver, for a sample in [0, 1)."""
         outside = dr.maximum(dr.abs(mi.Vector3f(x)) - self._half, 0)
         distance = dr.norm(outside) * dr.fma(_BLEND, sample, 1)
-        level = dr.log2(dr.maximum(distance * self._limit, 0.5))
-        return mi.UInt32(dr.clip(level, 0, self._last))
+        level = mi.UInt32(0)
+        for limit in self._on_device:
+            level += dr.select(distance > limit, mi.UInt32(1), 0)
+        return level
+
+    def shells(self, level: int, width: float, num_shells: int) -> tuple[int, int]:
+        """First and last shell of this width (`receiver_cells`) with receivers of a level."""
+        starts = np.concatenate([[0.0], self._limits / (1 + _BLEND), [np.inf]])
+        nearest = max(starts[level] + self._inner, 1e-3)
+        farthest = np.append(self._limits, np.inf)[level] + self._radius
+        first, last = (
+            min(int(self._radius / at / width), num_shells - 1) for at in (farthest, nearest)
+        )
+        return first, last
 
 
-def level_shells(
-    half_extents: NDArray[np.float64], depth: int, count: int, level: int, width: float, last: int
-) -> tuple[int, int]:
-    """First and last shell (`receiver_cells`) in which receivers have a level.
+def level_limits(
+    errors: NDArray[np.float64], depth: int
+) -> NDArray[np.float64]:
+    """Distances from a lamp's box beyond which its levels have at most `_ERROR`.
 
     Args:
-        depth, count: as of `LevelChoice`.
-        width: of a shell.
-        last: the innermost shell.
+        errors: [L - 1] relative errors at the distance `ERROR_DISTANCE`, of the levels beyond 0.
+        depth: of level 0.
     """
-    radius, limit = float(np.linalg.norm(half_extents)), _SIDES / (1 << depth)
-    nearest = (limit * 2.0**level / (1 + _BLEND) if level else 0) + half_extents.min()
-    farthest = limit * 2.0 ** (level + 1) + radius if level + 1 < count else np.inf
-    return tuple(min(int(radius / at / width), last) for at in (farthest, nearest))
+    # Errors fall with the distance from the box's border, and about 1.
+    found = errors / _ERROR * (ERROR_DISTANCE + 1) - 1
+    sides = 2.0 ** np.arange(1, len(errors) + 1) / (1 << depth)
+    return np.maximum.accumulate(np.maximum(found, _LEAST * sides))
+
+
+def points_around(half_extents: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+    """Receivers at `ERROR_DISTANCE` from a box: points and normals [.., 3], `POINTS` a patch."""
+    side = (np.arange(_PATCHES * _SUBDIVISION) + 0.5) / (_PATCHES * _SUBDIVISION) * 2 - 1
+    by_patch = side.reshape(_PATCHES, _SUBDIVISION)
+    u, v = np.broadcast_arrays(by_patch[:, None, :, None], by_patch[None, :, None, :])
+    faces = []
+    for axis in range(3):
+        for sign in (-1.0, 1.0):
+            point = np.stack([np.full_like(u, sign), u, v], axis=-1).reshape(-1, 3)
+            faces.append(np.roll(point, axis, axis=1))
+    unit = np.concatenate(faces)
+    normal = -np.repeat(np.kron(np.eye(3), [[-1], [1]]), len(faces[0]), axis=0)
+    return unit * (half_extents + ERROR_DISTANCE), normal
