@@ -5,6 +5,8 @@ docs/decisions/light-field.md states which paths get which.
 
 from __future__ import annotations
 
+import functools
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -13,6 +15,7 @@ from lumitree.asset.asset import Asset
 from lumitree.core.device import parameter
 from lumitree.octree.field import Field
 from lumitree.octree.traversal import Span
+from lumitree.rendering.sampling.emitted_light import emitted_light
 from lumitree.rendering.sampling.emitter_sampling import (
     INSIDE,
     OUTSIDE,
@@ -81,7 +84,11 @@ class DividedSampler(DirectionSampler):
 
     def __init__(self, asset: Asset, field: Field, uniform: BoxProxy | None = None) -> None:
         self._asset, self._field, self._uniform = asset, field, uniform
-        self._light = device_light_field(asset)
+
+    @functools.cached_property
+    def _light(self):
+        """All light."""
+        return device_light_field(self._asset)
 
     def sample(
         self, x: mi.Point3f, sample: mi.Point2f, active: mi.Bool | bool = True
@@ -156,7 +163,7 @@ class DividedSampler(DirectionSampler):
         active: mi.Bool | bool = True,
     ) -> tuple[mi.Point3f, mi.Vector3f, mi.Color3f]:
         """Point of a ray on which light leaves the lamp, its direction of travel, and its flux."""
-        return self._light.emitted.sample_ray(choice, sample1, sample2, active)
+        return emitted_light(self._asset).sample_ray(choice, sample1, sample2, active)
 
 
 class CellSampler(DividedSampler):
