@@ -75,9 +75,10 @@ def add_emitter_light(
     active &= ~(vertex.opaque & on_opposite_sides(si, path.ray.d, ds.d))
     light = path.β * scattering.value_em
     active &= dr.max(light) > 0
-    light *= visible(
-        scene, si, ds, choice.sampled.beyond, choice.selected.index, path.medium, active
-    )
+    # What passes a lamp's glass is in its light field, of which its own surfaces get nothing.
+    own = choice.selected.index == vertex.owner
+    target = dr.select(own, NONE, choice.selected.index)
+    light *= visible(scene, si, ds, choice.sampled.beyond, target, path.medium, active)
     active &= dr.max(light) > 0
     emitter_pmf = choice.selected.emitter_pmf
     weight, pdf = scene.lamps.call(
