@@ -51,8 +51,8 @@ class GeometryEmitter(Protocol):
             ds: from `it` to the point.
 
         Returns:
-            Radiance towards `si.wi`; and density per steradian that stands for that of emitter
-            sampling of the lamp (`StraightSample.density`).
+            Radiance towards `si.wi`; and the density per steradian that multiple importance
+            sampling takes for emitter sampling of the lamp (`Target.density`).
         """
         ...
 
