@@ -1,5 +1,6 @@
 """The geometry of an asset: it renders as the luminaire that it was made from, or is refused."""
 
+import itertools
 from types import SimpleNamespace
 
 import numpy as np
@@ -109,12 +110,12 @@ def seen(mi, loaded):
 def placed_shapes(mi, geometry, scale=1.0):
     """The shapes of geometry in a scene, where it is `scale` times as large."""
     from lumitree.rendering.plugins.geometry_shapes import geometry_shapes
-    from lumitree.rendering.sampling.self_lights import SelfLights
 
-    lamp = SimpleNamespace(
-        gain=mi.Color3f(1),
-        placed=SimpleNamespace(asset=SimpleNamespace(gain=NO_GAIN), self_lights=SelfLights()),
+    placed = SimpleNamespace(
+        asset=SimpleNamespace(gain=NO_GAIN), numbers=[scale], traces_straight_light=True
     )
+    straight = SimpleNamespace(densities=itertools.repeat(1.0))
+    lamp = SimpleNamespace(gain=mi.Color3f(1), placed=placed, straight=straight)
     return geometry_shapes(geometry, np.diag([scale, scale, scale, 1]), lamp)
 
 
