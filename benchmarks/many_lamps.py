@@ -1,4 +1,4 @@
-"""Folders of many lamps: time, memory and bytes of their bakes, and a model of a farm.
+"""Folders of many lamps: time, memory and bytes of their bakes.
 
     python -m benchmarks many_lamps --work FOLDER [--lamps 20] [--workers 1 2] [--rounds 1]
 
@@ -6,12 +6,10 @@ Writes small lamps of three kinds into FOLDER, and bakes them by `lumitree bake 
 worker with a core of its own; then the same command again, which keeps all of them, and `lumitree
 collect`. The baseline is one worker. Several rounds, each of lamps of its own, bake by the numbers
 of workers in turn, so that a machine that becomes slower does so for all. The same command
-continues a run that was interrupted. From these figures it computes what 10,000 lamps take on 100
-machines. Writes `many_lamps.json` and `many_lamps.md`.
+continues a run that was interrupted. Writes `many_lamps.json` and `many_lamps.md`.
 """
 
 import argparse
-import dataclasses
 import os
 import statistics
 import subprocess
@@ -20,13 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import lumitree
-from benchmarks.baked_folders.farm import (
-    OPERATION_SECONDS,
-    OPERATIONS_A_LAMP,
-    STORAGE_BYTES,
-    Farm,
-    farm,
-)
 from benchmarks.baked_folders.lamps import write_lamps
 from benchmarks.baked_folders.runs import bake, bake_command, baked_folder
 from benchmarks.common.results import Results, notes
@@ -140,21 +131,6 @@ def folder_table(found: dict[str, Any], lamps: int) -> Table:
     return Table(["figure", "value"], rows)
 
 
-def farm_table(found: Farm) -> Table:
-    """Seconds of the model."""
-    rows = [
-        ["bakes, divided evenly", f"{found.bake:,.0f}"],
-        ["last lamp, lamp by lamp (executor)", f"{found.dynamic:,.0f}"],
-        ["last lamp, fixed parts (--task)", f"{found.tasks:,.0f}"],
-        ["start of a machine", f"{found.start:,.1f}"],
-        ["check of a machine's part", f"{found.check:,.2f}"],
-        [f"file system, {found.bytes / 1e9:.2f} GB", f"{found.storage:,.1f}"],
-        ["operations on files, a machine", f"{found.operations:,.1f}"],
-        ["page, once", f"{found.page:,.1f}"],
-    ]
-    return Table([f"{found.lamps:,} lamps on {found.machines} machines", "s"], rows)
-
-
 def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--work", metavar="FOLDER", type=Path, required=True, help="lamps and assets; it is kept"
@@ -164,8 +140,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--workers", type=int, nargs="+", metavar="N", default=[1, 2])
     parser.add_argument("--quality", default="preview", choices=("preview", "standard", "high"))
     parser.add_argument("--seed", type=int, metavar="S", default=0, help="of the lamps")
-    parser.add_argument("--farm", type=int, metavar="N", default=10_000, help="lamps of the model")
-    parser.add_argument("--machines", type=int, metavar="N", default=100, help="of the model")
 
 
 def run(options: argparse.Namespace) -> None:
@@ -185,19 +159,6 @@ def run(options: argparse.Namespace) -> None:
     print(bake_table(rows, options.lamps * options.rounds).text(), flush=True)
     found = measure_folder(works[0], options.workers[0], options)
     print(folder_table(found, options.lamps).text(), flush=True)
-    # What the first command took beyond the bakes: start, and for each lamp reading and thumbnail.
-    beyond = max(0.0, rows[0]["rounds"][0] - sum(found["lamp_seconds"])) / options.lamps
-    model = farm(
-        [each + beyond for each in found["lamp_seconds"]],
-        sum(found["bytes"][kind] for kind in ("assets", "records", "thumbnails")) / options.lamps,
-        found["check_seconds"] / options.lamps,
-        found["command_seconds"],
-        found["page_seconds"] / options.lamps,
-        lamps=options.farm,
-        machines=options.machines,
-    )
-    print(farm_table(model).text())
-    print(f"bound by {model.bound}")
     facts = results.setting()
     busy = f"Measured while the machine did other work (load {load}): the times are too long.\n"
     sections = [
@@ -208,16 +169,7 @@ def run(options: argparse.Namespace) -> None:
         "Each worker has one core. Peak memory: of all processes together.\n",
         *([rounds_table(rows).markdown()] if options.rounds > 1 else []),
         folder_table(found, options.lamps).markdown(),
-        farm_table(model).markdown(),
-        f"A model: the measured lamps repeated, one worker a machine, bound by {model.bound}. "
-        f"Assumed: a file system of {STORAGE_BYTES / 1e6:.0f} MB/s in all, {OPERATIONS_A_LAMP} "
-        f"operations a lamp of {1e3 * OPERATION_SECONDS:.0f} ms each.\n",
         notes(facts),
     ]
-    report = {
-        "setting": facts,
-        "bakes": rows,
-        "folder": found,
-        "farm": {**dataclasses.asdict(model), "bound": model.bound},
-    }
+    report = {"setting": facts, "bakes": rows, "folder": found}
     results.write(report, "\n".join(sections))

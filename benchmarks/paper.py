@@ -30,7 +30,7 @@ SHOWN: tuple[ScaleName, ...] = ("cpu", "gpu", "paper")
 def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scale", choices=SCALE_NAMES, default="cpu", help="how large")
     parser.add_argument(
-        "--table", type=int, nargs="+", metavar="N", help="cells of these tables only; 0: the step"
+        "--table", type=int, nargs="+", metavar="N", help="cells of these tables only"
     )
     parser.add_argument("--cell", nargs="+", metavar="NAME", help="these cells only")
     parser.add_argument("--minutes", type=float, metavar="M", help="begin no cell after this time")

@@ -33,7 +33,7 @@ from benchmarks.common.lamps import file_name
 from benchmarks.common.results import Results, notes
 from benchmarks.common.tables import Table
 from benchmarks.equal_error.batches import LongRun, digest
-from benchmarks.equal_error.readings import DISPLAY_LEVELS
+from benchmarks.equal_error.errors import DISPLAY_LEVELS
 from benchmarks.rival_methods.cycles_methods import cycles_methods
 from benchmarks.rival_methods.denoising import Guides, denoised_noise
 from benchmarks.rival_methods.figures import TOLERANCE, bias_text, figures, time_text

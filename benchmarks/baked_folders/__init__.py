@@ -1,1 +1,1 @@
-"""What the benchmark of many lamps needs: its lamps, its runs, and the model of a farm."""
+"""Lamps of the benchmark of many lamps, and its runs."""

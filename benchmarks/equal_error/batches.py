@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+import lumitree
 from benchmarks.common.timing import Clock, ClockName
 from lumitree.core.files import atomic_path, write_json
 
@@ -20,6 +21,8 @@ Render = Callable[[int, int], Floats]
 
 MIN_BATCHES, MAX_BATCHES = 8, 32
 MIN_RUNGS = 6
+# Packages of the code that an image of a baked lamp depends on.
+_SOURCES = ("rendering", "octree", "asset", "core")
 # Seeds of long runs start here; those of ladders stay below. Each run may have so many images.
 _LONG_SEEDS, _RUN_SEEDS, _RUNS = 1 << 14, 1 << 15, 1 << 15
 
@@ -150,6 +153,12 @@ def ladder(folder: Path, render: Render, budget: float, max_rungs: int = 14) -> 
 
 def _rung(samples: int, images: Floats, wall: Any, cpu: Any) -> dict:
     return {"samples": samples, "images": images, "seconds": {"wall": wall, "cpu": cpu}}
+
+
+def code_digest() -> str:
+    """Hash of the package's code that renders a baked lamp."""
+    package = Path(lumitree.__file__).parent
+    return digest(*sorted(file for part in _SOURCES for file in (package / part).rglob("*.py")))
 
 
 def remember(folder: Path, what: dict) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.common.demo_lamps import placed, sphere_room
 from benchmarks.common.timing import Clock
-from benchmarks.equal_error.method import code_digest
+from benchmarks.equal_error.batches import code_digest
 from benchmarks.rival_methods.method import PATH_DEPTH, Method, TimedImage
 from benchmarks.rival_methods.room import Room
 from lumitree.core.backend import load_mitsuba

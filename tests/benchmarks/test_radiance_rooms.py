@@ -1,17 +1,14 @@
 """Illuminance of photometric files in rooms: lumitree against Radiance."""
 
 import importlib.util
-import json
 
 import numpy as np
 import pytest
 
 import lumitree
 from benchmarks import radiance
-from benchmarks.__main__ import main
 from benchmarks.radiance_rooms.program import Radiance
 from benchmarks.radiance_rooms.rooms import furniture, mitsuba_scene, radiance_text, walls
-from lumitree.errors import LumitreeError
 from support.ies_text import ies_text
 
 needs_radiance = pytest.mark.skipif(
@@ -94,34 +91,3 @@ def test_figures_of_points():
     assert found["noise"] == pytest.approx(0.01)
     assert abs(found["worst"]) == pytest.approx(0.1)
     assert found["worst_error"] == pytest.approx(0.01)
-
-
-def test_a_grid_has_rows_and_columns():
-    columns, rows = (round(side / radiance.SPACING) for side in radiance.EXTENT)
-    assert radiance.on_grid(list(range(columns * rows))).shape == (rows, columns)
-
-
-@needs_radiance
-@pytest.mark.slow
-def test_the_benchmark_from_end_to_end(mi, tmp_path, monkeypatch):
-    monkeypatch.setattr(radiance, "SPACING", 1.3)
-    monkeypatch.setattr(radiance, "EXTENT", (2.6, 2.6))
-    options = ["--repeats", "4", "--error", "0.02", "-o", str(tmp_path)]
-    assert main(["radiance", "spot, black room", "panel, furnished room", *options]) == 0
-    report = json.loads((tmp_path / "radiance.json").read_text())
-    assert [row["quantity"] for row in report["rows"]] == ["direct", "direct", "total"]
-    assert all(abs(row["ratio"] - 1) < 0.1 for row in report["rows"])
-    assert report["setting"]["radiance"].startswith("RADIANCE")
-    assert (tmp_path / "radiance.png").stat().st_size > 10_000
-    assert "spot, black room" in (tmp_path / "radiance.md").read_text()
-
-
-def test_a_case_that_there_is_not_is_one_line():
-    with pytest.raises(LumitreeError, match="there is no case 'none'; expected one of"):
-        radiance.chosen(["none"])
-
-
-def test_without_radiance_the_error_says_what_to_install(tmp_path, monkeypatch):
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(LumitreeError, match=r"pip install 'lumitree\[radiance\]'"):
-        Radiance(tmp_path)

@@ -104,12 +104,12 @@ def two_groups():
 
 
 def test_irradiance_of_as_many_lights_as_groups_is_that_of_the_field():
-    from benchmarks.cycles.table_rays import TableRays
     from lumitree.measure.irradiance import (
         asset_irradiance,
         irradiance_error,
         rays_irradiance,
     )
+    from support.table_rays import TableRays
 
     field, half = two_groups(), np.ones(3)
     asset = light_field_asset(field, LocalFrame(half, np.eye(4)), "two")
