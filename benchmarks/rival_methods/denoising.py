@@ -79,5 +79,6 @@ def _grey(image: NDArray[np.floating], guides: Guides) -> NDArray[np.float64]:
     from lumitree.rendering.layers import Recorded
 
     lit = np.ascontiguousarray(image, np.float32)[None]
-    recorded = Recorded(np.zeros_like(lit), lit, guides.albedo, guides.normal)
+    none = np.zeros_like(lit)
+    recorded = Recorded(none, none, lit, guides.albedo, guides.normal)
     return denoised(recorded).lit[0].mean(axis=-1, dtype=np.float64)

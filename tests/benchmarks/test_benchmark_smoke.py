@@ -7,12 +7,15 @@ from pathlib import Path
 import pytest
 
 import lumitree
-from benchmarks import illumination, light_field, near_field, radiance
+from benchmarks import light_field, near_field, radiance
 from benchmarks.__main__ import main, names
+from benchmarks.common.lamps import file_name
 from benchmarks.common.setting import command_line
 from benchmarks.inside_box import baked
+from lumitree.asset.asset import PARTS
 from lumitree.errors import LumitreeError
 from lumitree.fit.config import QUALITIES
+from lumitree.lamp.source import LuminaireSource
 from lumitree.trace.light_field_config import LightFieldConfig
 from support import tiny_bakes
 from support.exported_lamps import lamp
@@ -72,9 +75,8 @@ def test_commands_name_no_folders_of_the_machine():
 
 @pytest.fixture
 def ran(mi, tmp_path, monkeypatch):
-    """Runs a benchmark in an empty folder with tiny bakes; returns its records and its page."""
+    """Runs a benchmark in a folder with a lamp; returns its records and its page."""
     monkeypatch.chdir(tmp_path)
-    tiny_bakes.set_qualities(monkeypatch.setitem)
     (tmp_path / "lamp.xml").write_text(scene(*BULB, DISC))
 
     def run(name, *arguments):
@@ -90,10 +92,17 @@ def ran(mi, tmp_path, monkeypatch):
     return run
 
 
+@pytest.fixture
+def assets(ran):
+    """Options of a folder with a small bake of the lamp."""
+    name = file_name(LuminaireSource("lamp.xml"))
+    lumitree.bake("lamp.xml", f"{name}.lumitree", tiny_bakes.standard(parts=PARTS), progress=None)
+    return ["--assets", "."]
+
+
 @pytest.mark.slow
-def test_illumination(ran):
-    assert illumination.BASELINE == "sphere"
-    found, page = ran("illumination", "lamp.xml", "--width", "16", "--spp", "1")
+def test_illumination(ran, assets):
+    found, page = ran("illumination", "lamp.xml", *assets, "--width", "16", "--spp", "1")
     (row,) = found["luminaires"]
     assert row["product_over_sphere"]["sphere"] == 1
     assert row["time_over_explicit"]["light"] > 0
@@ -101,9 +110,9 @@ def test_illumination(ran):
 
 
 @pytest.mark.slow
-def test_appearance(ran):
+def test_appearance(ran, assets):
     arguments = ["--seconds", "0.1", "--reference", "0.5", "--width", "32", "--spp", "1"]
-    found, page = ran("appearance", "lamp.xml", "--bake-seconds", "1", *arguments)
+    found, page = ran("appearance", "lamp.xml", *assets, *arguments)
     (row,) = found["luminaires"]
     assert {"explicit", "field", "geometry"} == set(row["methods"])
     assert "rmse_display" in page

@@ -48,7 +48,7 @@ def add_emission(scene: PathScene, path: PathState, hit: Hit) -> mi.Bool:
     self_pmf = dr.select(path.self_sampled & ~path.bsdf_delta_prev, 1, 0)
     emitter_pdf *= dr.select(on_geometry, self_pmf, emitter_pmf)
     contribution = path.β * mis_weight(path.bsdf_pdf_prev, emitter_pdf) * light
-    path.add_light(scene, ds.emitter, contribution, path.specular_chain, seen)
+    path.add_light(scene, ds.emitter, contribution, path.specular_chain, seen, hit.shown)
 
     on_proxy &= hit.hit_surface & hit.si.is_valid()
     path.valid_ray |= on_proxy & seen & (dr.max(light) > 0)
@@ -125,7 +125,7 @@ def add_self_emission(
     mode = None if dr.flag(dr.JitFlag.SymbolicLoops) else "evaluated"
     if dr.hint(shows, mode=mode):
         light, emitter = _self_emission(scene, path, vertex, sample, shows)
-    path.add_light(scene, emitter, light, mi.Bool(False), shows)
+    path.add_light(scene, emitter, light, mi.Bool(False), shows, shown=True)
     return shows
 
 
