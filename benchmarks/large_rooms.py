@@ -186,15 +186,7 @@ def _with_ratios(rows: list[dict]) -> list[dict]:
 
 def table(rows: list[dict]) -> Table:
     """A line for each case."""
-    heads = [
-        "lamp",
-        "shown by",
-        "room",
-        "lamps",
-        "sample, µs",
-        "recording, s",
-        "time / one",
-    ]
+    heads = ["lamp", "shown by", "room", "lamps", "sample, µs", "recording, s", "time / one"]
     heads += ["relative variance", "variance / one", "product / one"]
     lines = [
         [

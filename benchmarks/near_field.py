@@ -1,4 +1,4 @@
-"""Light inside the box of a lamp: irradiance, noise and bytes.
+"""Light inside the box of a lamp: irradiance and noise.
 
     python -m benchmarks near_field [--data FOLDER] [LUMINAIRE ...]
 
@@ -11,8 +11,8 @@ noise of either side, which needs two bakes. There are two ways to receive the l
 lamp's surfaces in the scene (`geometry`), and without (`light`).
 
 Further figures: light in the shadow under a lamp, relative to the brightest patches; time times
-variance of a receiver in the box over a receiver just outside it; bytes of an asset with the light
-field alone, and the time of its bake. `--data` adds luminaires of others.
+variance of a receiver in the box over a receiver just outside it. `--data` adds luminaires of
+others.
 
 Writes `near_field.md` and `near_field.json`.
 """
@@ -94,14 +94,10 @@ def measure(source: LuminaireSource, folder: Path, options: argparse.Namespace) 
     """A row for a luminaire: its planes, and its other figures."""
     from benchmarks.inside_box.baked import BakedLamp, receiver_noise
 
-    assets, seconds = zip(
-        *(_baked(source, folder, options, number) for number in (0, 1)), strict=True
-    )
+    assets = [_baked(source, folder, options, number) for number in (0, 1)]
     planes, fine = reference_planes(source, options)
     row: dict[str, Any] = {
         "luminaire": assets[0].luminaire,
-        "bytes": [_bytes(asset) for asset in assets],
-        "bake_seconds": [each for each in seconds if each is not None],
         "planes": [
             {
                 "plane": plane.rectangle.name,
@@ -146,17 +142,6 @@ def _shadow(lamps: list[Any], fine: Plane, seed: int) -> dict[str, float] | None
     return shadow(baked, fine.reference.mean(axis=0))
 
 
-def _bytes(asset: Any) -> int:
-    """Size of the file of an asset with its light field alone."""
-    import lumitree
-    from lumitree.asset.asset import light_field_asset
-
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "lamp.lumitree"
-        lumitree.save(light_field_asset(asset.light_field, asset.frame, asset.luminaire), path)
-        return path.stat().st_size
-
-
 def reference_planes(
     source: LuminaireSource, options: argparse.Namespace
 ) -> tuple[list[Plane], Plane]:
@@ -193,23 +178,20 @@ def _receivers(lamp: Any, planes: list[Plane]) -> dict[str, list[tuple[Floats, i
     return groups
 
 
-def _baked(
-    source: LuminaireSource, folder: Path, options: argparse.Namespace, number: int
-) -> tuple[Any, float | None]:
-    """An asset, which is baked where it is missing, and the seconds of its light field."""
+def _baked(source: LuminaireSource, folder: Path, options: argparse.Namespace, number: int) -> Any:
+    """An asset, which is baked where it is missing."""
     import lumitree
 
     path = folder / f"{file_name(source)}-{number}.lumitree"
     if path.exists():
-        return lumitree.load(path), None
-    baked = lumitree.bake(
+        return lumitree.load(path)
+    return lumitree.bake(
         source,
         path,
         lumitree.BakeConfig(
             parts=("light", "geometry"), irradiance_paths=0, seed=options.seed + number
         ),
-    )
-    return baked.asset, baked.seconds["light"]
+    ).asset
 
 
 def plane_table(rows: list[dict[str, Any]]) -> Table:
@@ -282,16 +264,6 @@ def _noise_ratio(found: dict[str, Any]) -> float | None:
     return noise and noise["inside"]["product"] / noise["outside"]["product"]
 
 
-def cost_table(rows: list[dict[str, Any]]) -> Table:
-    """Bytes and time of the light field."""
-    lines = []
-    for row in rows:
-        seconds = row["bake_seconds"]
-        bake = f"{np.mean(seconds):.1f} s" if seconds else "-"
-        lines.append([row["luminaire"], f"{np.mean(row['bytes']) / 1e6:.2f} MB", bake])
-    return Table(["luminaire", "light field", "its bake"], lines)
-
-
 def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("luminaires", metavar="LUMINAIRE", nargs="*", default=list(LAMPS))
     parser.add_argument("--data", metavar="FOLDER", type=Path, help="with the luminaires of others")
@@ -334,7 +306,7 @@ def _data_sources(data: Path) -> list[LuminaireSource]:
 def _write(results: Results, report: dict[str, Any]) -> str:
     """Write the result files; returns the tables as text."""
     rows, facts = report["luminaires"], results.setting()
-    tables = [lamp_table(rows), plane_table(rows), cost_table(rows)]
+    tables = [lamp_table(rows), plane_table(rows)]
     text = "\n".join(table.markdown() for table in tables)
     results.write({"setting": facts, **report}, f"# Inside the box\n\n{text}\n{notes(facts)}")
     return "\n".join(table.text() for table in tables)

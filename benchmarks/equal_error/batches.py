@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 import lumitree
 from benchmarks.common.timing import Clock, ClockName
-from lumitree.core.files import atomic_path, write_json
+from lumitree.core.files import atomic_path
 
 Floats = NDArray[np.float32]
 # render(samples a pixel, seed) -> picture [H, W, 3]
@@ -159,8 +159,3 @@ def code_digest() -> str:
     """Hash of the package's code that renders a baked lamp."""
     package = Path(lumitree.__file__).parent
     return digest(*sorted(file for part in _SOURCES for file in (package / part).rglob("*.py")))
-
-
-def remember(folder: Path, what: dict) -> None:
-    """Write what a folder's hash stands for, for people."""
-    write_json(folder / "key.json", what)

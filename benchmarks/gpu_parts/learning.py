@@ -17,6 +17,8 @@ from lumitree.core.dataset import Dataset
 # Steps that tell the speed, and the part of the time left that is planned for steps: compiling
 # takes some of it again.
 _FIRST_STEPS, _PLANNED = 300, 0.8
+# On the page.
+METRICS = ("psnr_linear", "psnr_linear_black", "psnr_mulaw", "ssim_linear", "opacity_rmse")
 
 
 def check_jax(context: Context) -> None:
@@ -92,6 +94,3 @@ def show_learning(values: dict[str, Any]) -> str:
         rows = [[name, *(f"{each[name]:.4g}" for each in scores.values())] for name in METRICS]
         text += "\n" + Table(["metric, on test views", *scores], rows).markdown()
     return text
-
-
-METRICS = ("psnr_linear", "psnr_linear_black", "psnr_mulaw", "ssim_linear", "opacity_rmse")

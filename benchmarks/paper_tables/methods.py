@@ -6,11 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from benchmarks.equal_error.batches import LongRun, code_digest, digest, ladder, remember
+from benchmarks.equal_error.batches import LongRun, code_digest, digest, ladder
 from benchmarks.equal_error.errors import display_rows, noise_of_mean, time_to_reach
 from benchmarks.equal_error.pairs import Pair
 from benchmarks.paper_tables.scales import EqualQuality
 from lumitree.core.backend import load_mitsuba
+from lumitree.core.files import write_json
 
 if TYPE_CHECKING:
     from lumitree.rendering.sampling.emitter_sampling import Sampling
@@ -79,7 +80,7 @@ class Method:
         }
         self.folder = cache / f"{pair.name}-{digest(key)}"
         self.folder.mkdir(parents=True, exist_ok=True)
-        remember(self.folder, {"source": source, **key})
+        write_json(self.folder / "key.json", {"source": source, **key})
         pixels = int(np.prod(room.sensors()[0].film().size()))
         self.long = LongRun(self.folder / "long.npz", self.folder.name, first_samples(pixels))
         self.rungs: list[dict] = []

@@ -7,12 +7,11 @@ from pathlib import Path
 import pytest
 
 import lumitree
-from benchmarks import light_field, near_field, radiance
+from benchmarks import finished, light_field, near_field, radiance
 from benchmarks.__main__ import main, names
 from benchmarks.common.lamps import file_name
 from benchmarks.common.setting import command_line
 from benchmarks.inside_box import baked
-from lumitree.asset.asset import PARTS
 from lumitree.errors import LumitreeError
 from lumitree.fit.config import QUALITIES
 from lumitree.lamp.source import LuminaireSource
@@ -96,7 +95,7 @@ def ran(mi, tmp_path, monkeypatch):
 def assets(ran):
     """Options of a folder with a small bake of the lamp."""
     name = file_name(LuminaireSource("lamp.xml"))
-    lumitree.bake("lamp.xml", f"{name}.lumitree", tiny_bakes.standard(parts=PARTS), progress=None)
+    lumitree.bake("lamp.xml", f"{name}.lumitree", tiny_bakes.bake_config(), progress=None)
     return ["--assets", "."]
 
 
@@ -154,6 +153,7 @@ def test_many_lamps_in_rounds_continues(ran):
 
 @pytest.mark.slow
 def test_near_field(ran, monkeypatch):
+    tiny_bakes.set_qualities(monkeypatch.setitem)
     few = tiny_bakes.standard(light_field=LightFieldConfig(1 << 18, batch=1 << 18))
     monkeypatch.setitem(QUALITIES, "standard", few)
     monkeypatch.setattr(baked, "_RECEIVERS", 1 << 10)
@@ -225,3 +225,39 @@ def test_rivals(ran):
     again, _ = ran("rivals", "lamp.xml", *options[:4], "--seconds", "0")
     seconds = again["luminaires"][0]["methods"]["ptracer"]["seconds"]
     assert seconds == methods["ptracer"]["seconds"]
+
+
+def test_an_image_is_finished_when_its_error_stays_below_the_goal():
+    points = [
+        {"samples": 1, "seconds": 4.0, "hdr_flip": 0.4},
+        {"samples": 2, "seconds": 8.0, "hdr_flip": 0.1},
+        {"samples": 4, "seconds": 16.0, "hdr_flip": 0.025},
+    ]
+    assert finished.finished(points) == {"seconds": pytest.approx(8 * 2**0.5), "reached": True}
+    short = finished.finished(points[:2])
+    assert short == {"seconds": 8.0, "reached": False}
+    row = {"scene": "s", "lamp": "l", "bake_seconds": 9.0, "methods": {"baked": {"points": points}}}
+    for each in finished.METHODS:
+        row["methods"][each] = {**finished.finished(points), "points": points}
+    row["methods"]["path"] = {**short, "points": points[:2]}
+    line = finished.times_table([row]).rows[0]
+    assert line[3:] == ["11.3", "11.3", "> 8.0", "11.3", "1.0", "> 0.7", "1.0"]
+
+
+@pytest.mark.slow
+def test_finished(ran, monkeypatch):
+    pytest.importorskip("mitsuba_oidn")
+    Path("veach_bidir").mkdir()
+    floor = '<shape type="rectangle"><transform name="to_world"><rotate x="1" angle="-90"/>'
+    camera = '<sensor type="perspective"><film type="hdrfilm"/></sensor><integrator type="path"/>'
+    wall = f'{floor}<scale value="4"/></transform></shape>'
+    Path("veach_bidir/room_night.xml").write_text(f'<scene version="3.0.0">{camera}{wall}</scene>')
+    monkeypatch.setattr(finished, "METHODS", ("baked", "light"))
+    scenes = {"small": finished.Scene("./lamp.xml", "veach_bidir", "standing")}
+    monkeypatch.setattr(finished, "SCENES", scenes)
+    options = ["--rooms", ".", "--data", ".", "--work", "work", "--width", "32", "--seconds", "0"]
+    found, page = ran("finished", *options, "--reference", "16")
+    (row,) = found["scenes"]
+    assert all(each["points"][0]["seconds"] > 0.1 for each in row["methods"].values())
+    assert Path("out/finished-small.png").stat().st_size > 1000
+    assert "| small | ./lamp.xml |" in page

@@ -10,15 +10,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks.paper import SHOWN
+from benchmarks.paper import SHOWN, Setting, run_cells
 from benchmarks.paper_tables import methods as display_times
 from benchmarks.paper_tables.cells import Cell, Measured, Store
 from benchmarks.paper_tables.page import all_cells, write_page
-from benchmarks.paper_tables.running import Setting, run_cells
 from benchmarks.paper_tables.scales import SCALES
 from benchmarks.paper_tables.work import OutOfTimeError, Work, plain
 from lumitree.errors import LumitreeError
-from lumitree.fit.network.config import PRESETS
 
 ROOT = Path(__file__).parents[2]
 
@@ -55,13 +53,6 @@ def test_cells_have_names_of_their_own_and_parameters_that_json_holds(scale):
         assert json.loads(json.dumps(plain(each.parameters))) == plain(each.parameters)
         if scale == "cpu":
             assert each.minutes <= 30
-
-
-def test_the_scale_of_the_paper_is_the_papers():
-    scale = SCALES["paper"]
-    assert scale.network == PRESETS["paper"]
-    assert (scale.train.count, scale.train.resolution) == (100, 800)
-    assert (scale.test.count, scale.network_depth, scale.samples_per_leaf) == (100, 10, 256)
 
 
 def test_a_cell_is_measured_once(mi, setting):

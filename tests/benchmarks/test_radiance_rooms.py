@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import lumitree
-from benchmarks import radiance
 from benchmarks.radiance_rooms.program import Radiance
 from benchmarks.radiance_rooms.rooms import furniture, mitsuba_scene, radiance_text, walls
 from support.ies_text import ies_text
@@ -77,17 +76,3 @@ def test_the_illuminance_in_a_furnished_room_is_that_of_radiance(mi, tmp_path, k
     boxes = walls(0.3, 0.5, 0.7) + furniture()
     ours, theirs = both(tmp_path, kind, boxes, 24, 0.004, divisions=512, repeats=12)
     agree(ours.total, ours.total_error, theirs)
-
-
-def test_figures_of_points():
-    baseline, error = np.array([100.0, 100.0, 200.0, 1.0]), np.array([1.0, 1.0, 2.0, 1.0])
-    found = radiance.compared(baseline * [1.1, 0.9, 1.0, 3.0], error, baseline, 0 * error)
-    assert (found["points"], found["compared"]) == (4, 3)
-    assert found["ratio"] == pytest.approx(403 / 401)
-    assert found["ratio_error"] == pytest.approx(np.sqrt(7) / 401)
-    # Differences are 10, -10, 0 and 2 of a mean of 100.25; the noise is 1, 1, 2 and 1.
-    assert found["rms_of_mean"] == pytest.approx(np.sqrt((204 - 7) / 4) / 100.25)
-    assert found["rms"] == pytest.approx(np.sqrt(0.02 / 3 - 1e-4))
-    assert found["noise"] == pytest.approx(0.01)
-    assert abs(found["worst"]) == pytest.approx(0.1)
-    assert found["worst_error"] == pytest.approx(0.01)

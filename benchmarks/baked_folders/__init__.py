@@ -1,1 +1,0 @@
-"""Lamps of the benchmark of many lamps, and its runs."""
