@@ -28,6 +28,15 @@ def test_its_tree_is_in_the_order_of_imports():
     assert tree == [layer.split(" | ")[0] for layer in LAYERS]
 
 
+def test_one_module_uses_the_buffers_of_meshes():
+    """Mitsuba 3.10 changes their names, and how a mesh is made."""
+    names = r"vertex_(positions|normals|texcoords)|(faces|attribute)_buffer|mi\.Mesh\("
+    names += r"|(add|remove)_attribute\(|has_(vertex|face|flipped)_\w+\(|recompute_\w+\("
+    files = [*(ROOT / "src").rglob("*.py"), *(ROOT / "benchmarks").rglob("*.py")]
+    found = [each for each in files if re.search(names, each.read_text(encoding="utf-8"))]
+    assert found == [ROOT / "src/lumitree/core/mitsuba_meshes.py"]
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_a_name_is_of_a_module_or_in_it(name):
     """Modules are found without importing them: some import Mitsuba."""

@@ -35,7 +35,7 @@ def box_mesh(boxes: NDArray[np.float64], bsdf: Any) -> Any:
     """A mesh (mi.Mesh) of boxes [B, 2, 3]."""
     import mitsuba as mi
 
-    from lumitree.core.device import on_device
+    from lumitree.core.mitsuba_meshes import make_mesh
 
     corners = np.array([[(k >> a) & 1 for a in range(3)] for k in range(8)])
     points = boxes[:, corners, np.arange(3)].reshape(-1, 3)
@@ -44,12 +44,7 @@ def box_mesh(boxes: NDArray[np.float64], bsdf: Any) -> Any:
     faces = (8 * np.arange(len(boxes))[:, None, None] + faces).reshape(-1, 3)
     properties = mi.Properties()
     properties["mesh_bsdf"] = bsdf
-    mesh = mi.Mesh("boxes", len(points), len(faces), props=properties)
-    parameters = mi.traverse(mesh)
-    parameters["vertex_positions"] = on_device(mi.Float, points)
-    parameters["faces"] = on_device(mi.UInt32, faces)
-    parameters.update()
-    return mesh
+    return make_mesh("boxes", {"vertices": points, "faces": faces}, properties)
 
 
 def furnished_room(columns: int, rows: int, width: int) -> Any:

@@ -11,9 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.measure.illuminance.light import emitter_light, receivers
 from lumitree.rendering.plugins.deferred_emitter import DeferredEmitter
-from lumitree.rendering.plugins.emitter_calls import entered_light
+from lumitree.rendering.plugins.integrator import DEFAULT_RR_DEPTH, trace_paths
 from lumitree.rendering.plugins.path_scene import PathScene
-from lumitree.rendering.plugins.proxies import NONE, DividedScene
+from lumitree.rendering.plugins.path_state import PathState
+from lumitree.rendering.plugins.proxies import DividedScene
+from lumitree.trace.spawning import spawn
 
 # Samples that are computed at once.
 _AT_ONCE = 1 << 22
@@ -52,44 +54,20 @@ def received_irradiance(
     return total / samples
 
 
-@dr.syntax
 def _receive(scene, si, sampler):
     """Estimates (mi.Color3f) of the irradiance of receivers."""
-    proxies, owners = scene.divided.proxies, scene.divided.owners
-    active = dr.full(mi.Bool, True, dr.width(si.p))
-    sampled = emitter_light(scene, si, dr.zeros(mi.MediumPtr), sampler, 1 / math.pi)
+    medium = dr.zeros(mi.MediumPtr)
+    sampled = emitter_light(scene, si, medium, sampler, 1 / math.pi)
     baked = dr.dispatch(sampled.emitter, is_baked, sampled.found)
     irradiance = dr.select(baked, sampled.unshadowed * sampled.through, 0)
 
+    # The light of lamps that a ray enters, and of their surfaces that it hits.
     local = mi.warp.square_to_cosine_hemisphere(sampler.next_2d())
-    ray = mi.Ray3f(si.p, si.to_world(local))
-    # A ray along the surface has no density, and brings nothing.
-    active &= local.z > 0
-    pi = scene.divided.surfaces.ray_intersect_preliminary(ray, False, active)
-    distance, lamp = proxies.first(ray, pi.t, active)
-    entered = active & (lamp != NONE)
-    ahead = owners.of(pi.shape, entered & pi.is_valid())
-    while entered:
-        ends = scene.divided.ends(ray, pi.t, lamp, ahead, entered)
-        emitter = scene.emitter(lamp, entered)
-        emitter_pmf = scene.selection.pmf(emitter, mi.Interaction3f(si), entered)
-        pdf = local.z * (1 / math.pi)
-        light = dr.dispatch(
-            emitter,
-            entered_light,
-            ray,
-            distance,
-            mi.Interaction3f(si),
-            mi.Bool(False),
-            pdf,
-            emitter_pmf,
-            ends,
-            entered,
-        )[0]
-        irradiance[entered] += light * math.pi
-        distance, lamp = proxies.next(ray, distance, lamp, pi.t, entered)
-        entered &= lamp != NONE
-    return irradiance
+    ray = spawn(si, si.to_world(local), scene.extent)
+    path = PathState.received(mi.Interaction3f(si), ray, medium, local.z > 0)
+    path.bsdf_pdf_prev = local.z * (1 / math.pi)
+    radiance, _, _ = trace_paths(scene, path, sampler, 2, DEFAULT_RR_DEPTH)
+    return irradiance + math.pi * radiance
 
 
 def is_baked(emitter: Any, active: Any) -> Any:

@@ -170,7 +170,7 @@ def append(tensors):
         # A thousand times as much as is stored.
         (stream(lambda content: content + bytes(1 << 26)), "does not decompress to"),
         (stream(lambda content: b"\xff" + content[1:]), "a cell is outside the grid"),
-        (stream(lambda content: content[:-4] + b"\xff\xff\xff\xff"), "visibility curves are not"),
+        (stream(lambda content: content[:-4] + b"\xff\xff\xff\xff"), "reach curves are not"),
         (cut, "does not decompress to"),
         (append, "does not decompress to"),
         (lambda t: t.update({"light.stream": np.zeros(9, np.uint8)}), "cannot be decompressed"),
@@ -453,9 +453,9 @@ def test_nodes_and_leaves_in_any_order_are_stored_as_the_same_field():
 @pytest.mark.parametrize(
     ("key", "value", "message"),
     [
-        ("version", 1, "version 1, this lumitree reads 3; bake it again"),
+        ("version", 1, "version 1, this lumitree reads 4; bake it again"),
         ("version", 0, "version 0, this"),
-        ("version", 3.0, "version 3.0, this"),
+        ("version", 4.0, "version 4.0, this"),
         ("version", True, "version true, this"),
         ("light", {"depth": 1, "resolution": 4, "scale": 1.0}, 'lacks "light.stream"'),
         ("gain", None, "gain of the description is null; expected 3 numbers"),
@@ -576,14 +576,20 @@ def put_bytes(start, stop, value):
     return stream(lambda content: content[:start] + value + content[stop:])
 
 
-# Cells [5, 3], the bins of each that emit [5, 2] and intensities, see `random_light_field`.
+BINS = len(random_light_field(0).intensity)
+
+
+# Cells [5, 3], the bins of each that emit [5, 2], intensities, which light each bin has, and bent
+# parts, see `random_light_field`.
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         (put_bytes(0, 3, b"\xff\xff\xff"), "a cell is outside the grid"),
         (put_bytes(3, 15, bytes(12)), "repeated or out of order"),
         (put_bytes(15, 25, bytes(10)), "intensities for"),
-        (put_bytes(-4, 1 << 30, bytes(4)), "an intensity is 0"),
+        (put_bytes(25, 29, bytes(4)), "an intensity is 0"),
+        (put_bytes(-4, 1 << 30, b"\xff\xff\xff\xff"), "a bent part is larger"),
+        (put_bytes(25 + 4 * BINS, 26 + 4 * BINS, b"\x03"), "for [0-9]+ bins that have both"),
     ],
 )
 @pytest.mark.parametrize("name", FILES[1:-1])

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lumitree.asset.light_field import MAX_BINS, LightField, make_light_field, pack, unpack
+from lumitree.asset.light_field import MAX_BINS, LightField, make_light_field
+from lumitree.asset.packed_colours import pack, unpack
 from lumitree.errors import LumitreeError
 from lumitree.octree.build import morton
 from support.light_fields import random_light_field
@@ -89,6 +90,11 @@ def changed(name, index, value):
     return {name: array}
 
 
+def both(intensity):
+    """Members of a field whose light is all bent."""
+    return {"intensity": intensity, "bent": intensity}
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -104,8 +110,12 @@ def changed(name, index, value):
         ({"intensity": FIELD.intensity.astype(np.float64)}, "intensity is float64"),
         ({"intensity": FIELD.intensity[:, None]}, r"intensity is uint32 \(\d+, 1\)"),
         ({"intensity": np.uint32(1)}, r"intensity is uint32 \(\)"),
-        ({"intensity": FIELD.intensity[1:]}, r"\d+ intensities for \d+ bins that emit"),
-        ({"intensity": np.append(FIELD.intensity, FIELD.intensity)}, r"\d+ intensities for \d+"),
+        (both(FIELD.intensity[1:]), r"\d+ intensities for \d+ bins that emit"),
+        (both(np.append(FIELD.intensity, FIELD.intensity)), r"\d+ intensities for \d+"),
+        ({"bent": FIELD.bent[1:]}, "bent is uint32"),
+        ({"bent": FIELD.bent.view(np.int32)}, "bent is int32"),
+        (changed("bent", 3, pack(np.array([1.0, 0, 0]))), "a bent part is larger"),
+        (changed("bent", slice(None), FIELD.intensity + 1), "a bent part is larger"),
         (changed("intensity", 3, 0), "an intensity is 0"),
         (changed("intensity", 3, 7 << 27), "an intensity is 0"),
         (changed("lit", (0, 0), FIELD.lit[0, 0] ^ 1), "intensities for"),
@@ -134,7 +144,7 @@ def changed(name, index, value):
             {
                 "cells": FIELD.cells[:0],
                 "lit": FIELD.lit[:0],
-                "intensity": FIELD.intensity[:0],
+                **both(FIELD.intensity[:0]),
             },
             "0 cells of 16 bins",
         ),
@@ -153,7 +163,7 @@ def test_a_cell_that_emits_nothing_is_refused():
         dataclasses.replace(
             FIELD,
             lit=np.concatenate([np.zeros_like(FIELD.lit[:1]), FIELD.lit[1:]]),
-            intensity=FIELD.intensity[first:],
+            **both(FIELD.intensity[first:]),
         )
 
 
@@ -165,7 +175,7 @@ def test_too_many_bins_are_refused():
         LightField(
             cells=np.broadcast_to(np.uint8(0), (count, 3)),
             lit=np.broadcast_to(np.uint8(255), (count, 128**2 // 8)),
-            intensity=np.zeros(0, np.uint32),
+            **both(np.zeros(0, np.uint32)),
             depth=7,
             resolution=128,
             scale=1.0,
@@ -178,11 +188,12 @@ def test_the_ends_of_the_range_are_accepted(scale):
 
 
 def test_dense_puts_values_where_the_bins_are():
+    intensity = pack(np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]]))
     field = LightField(
         cells=np.array([[0, 0, 0], [1, 1, 1]], np.uint8),
         # The first bin is in the highest bit.
         lit=np.array([[0b10000000, 0b00000001], [0b01000010, 0]], np.uint8),
-        intensity=pack(np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]])),
+        **both(intensity),
         depth=1,
         resolution=4,
         scale=2.0,
@@ -193,7 +204,7 @@ def test_dense_puts_values_where_the_bins_are():
     assert (dense[0, 0], dense[0, 15]) == (1, 2)
     assert (dense[1, 1], dense[1, 6]) == (3, 4)
     assert field.dense(np.ones(4, np.float32)).dtype == np.float32
-    assert field.num_bytes == 2 * 3 + 2 * 2 + 4 * 4
+    assert field.num_bytes == 2 * 3 + 2 * 2 + 4 * 4 + 4 * 4
 
 
 def test_a_field_of_intensities():

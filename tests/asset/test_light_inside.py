@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from lumitree.asset.light_inside import parts_of_ending
+from lumitree.asset.packed_colours import pack
 from lumitree.errors import LumitreeError
 from support.light_fields import random_inside, random_light_field
 
@@ -31,11 +32,13 @@ def changed(name, index, value):
         ({"intensity": INSIDE.intensity.astype(np.float32)}, "intensity is float32"),
         ({"intensity": np.uint32(0)}, r"intensity is uint32 \(\)"),
         ({"reach": INSIDE.reach[1:]}, "reach is uint8"),
-        ({"visibility": INSIDE.visibility.astype(np.int64)}, "visibility is int64"),
+        ({"bent_reach": INSIDE.bent_reach.astype(np.int64)}, "bent_reach is int64"),
+        ({"bent": INSIDE.bent[1:]}, "bent is uint32"),
+        (changed("bent", slice(None), pack(np.ones(3))), "a bent part is larger"),
         ({"distances": INSIDE.distances[:3]}, "reach_curves is float32"),
         ({"distances": np.float32(0)}, r"distances is float32 \(\)"),
         ({"reach_curves": np.float32(0)}, r"reach_curves is float32 \(\)"),
-        ({"visibility_curves": INSIDE.visibility_curves[:0]}, "visibility curves are not 1 to 256"),
+        ({"reach_curves": INSIDE.reach_curves[:0]}, "reach curves are not 1 to 256"),
         (changed("distances", 0, 0.05), "distances are no increasing numbers from 0"),
         (changed("distances", 2, 0.1), "distances are no increasing numbers"),
         (changed("distances", 3, np.inf), "distances are no increasing numbers"),
@@ -44,10 +47,8 @@ def changed(name, index, value):
         (changed("reach_curves", (0, 0), np.nan), "reach curves are not"),
         (changed("reach_curves", (0, 2), 1), "a reach increases"),
         (changed("reach_curves", (0, slice(None)), 0.5), "does not end at 0"),
-        (changed("visibility_curves", (0, 3), 8.01), "from 0 to 8"),
-        (changed("visibility_curves", (0, 3), -1), "from 0 to 8"),
         (changed("reach", 0, 4), "a reach curve is named that is not there"),
-        (changed("visibility", 0, 3), "a visibility curve is named that is not there"),
+        (changed("bent_reach", 0, 4), "a reach curve is named that is not there"),
         ({"scale": 0.0}, "scale 0.0"),
         ({"scale": float("nan")}, "scale nan"),
         ({"scale": 1}, "scale 1,"),
@@ -66,7 +67,7 @@ def without(row):
     entry = np.repeat(np.arange(len(bits)), bits.sum(axis=1, dtype=np.int64))
     members = {
         name: np.delete(getattr(INSIDE, name), entry == row)
-        for name in ("intensity", "reach", "visibility")
+        for name in ("intensity", "bent", "reach", "bent_reach")
     }
     cells, lit = (np.delete(each, row, axis=0) for each in (INSIDE.cells, INSIDE.lit))
     return dataclasses.replace(INSIDE, cells=cells, lit=lit, **members)
@@ -82,26 +83,6 @@ def test_every_cell_of_the_light_field_is_needed():
             assert dataclasses.replace(FIELD, inside=without(row)).num_bytes < (
                 FIELD.num_bytes + INSIDE.num_bytes
             )
-
-
-def moved(bit):
-    """Light inside with the first entry of a cell of the field at another bin."""
-    row = INSIDE.cells.tolist().index(FIELD.cells[0].tolist())
-    bits = np.unpackbits(INSIDE.lit, axis=1)
-    bits[row] = 0
-    bits[row, bit] = 1
-    kept = int(np.unpackbits(INSIDE.lit[row]).sum()) - 1
-    first = int(np.unpackbits(INSIDE.lit[:row]).sum())
-    members = {
-        name: np.delete(getattr(INSIDE, name), slice(first, first + kept))
-        for name in ("intensity", "reach", "visibility")
-    }
-    return dataclasses.replace(INSIDE, lit=np.packbits(bits, axis=1), **members)
-
-
-def test_bins_that_emit_need_entries():
-    with pytest.raises(LumitreeError, match="a bin that emits has no entry"):
-        dataclasses.replace(FIELD, inside=moved(3))
 
 
 def test_bins_beyond_the_last_are_refused():

@@ -124,13 +124,30 @@ def test_a_gpu_is_not_used_by_default():
     assert succeeds(code) == ["llvm_ad_rgb"]
 
 
-def test_variants_for_gpus_are_said_to_be_little_tested_once(monkeypatch):
+@pytest.mark.parametrize(
+    ("variant", "tested"), [("cuda_ad_rgb", "little tested"), ("metal_ad_rgb", "untested")]
+)
+def test_variants_for_gpus_are_said_to_be_little_tested_once(monkeypatch, variant, tested):
     monkeypatch.setattr(backend, "_warned_of_gpu", False)
-    with pytest.warns(LumitreeWarning, match="^cuda_ad_rgb is little tested; compare .* llvm"):
-        warn_of_gpu("cuda_ad_rgb")
+    with pytest.warns(LumitreeWarning, match=f"^{variant} is {tested}; compare .* llvm"):
+        warn_of_gpu(variant)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        warn_of_gpu("cuda_ad_rgb")
+        warn_of_gpu(variant)
+
+
+def test_variants_of_metal_are_accepted_where_mitsuba_has_them(monkeypatch, mi):
+    """As its packages for macOS have, which have none of CUDA."""
+    names, chosen = ["scalar_rgb", "llvm_ad_rgb", "metal_ad_rgb", "metal_ad_spectral"], []
+    monkeypatch.setattr(mi, "variants", lambda: names)
+    monkeypatch.setattr(mi, "set_variant", chosen.append)
+    monkeypatch.setattr(backend, "_warned_of_gpu", True)
+    load_rgb("metal_ad_rgb")
+    load_mitsuba("metal_ad_spectral")
+    assert chosen == ["metal_ad_rgb", "metal_ad_spectral"]
+    for name in ("cuda_ad_rgb", "scalar_rgb"):
+        with pytest.raises(LumitreeError, match=r"; choose llvm_ad_rgb or metal_ad_rgb$"):
+            load_mitsuba(name)
 
 
 def test_the_variant_of_cpus_is_used_without_a_warning(monkeypatch):

@@ -27,6 +27,7 @@ from lumitree.core.files import (
     write_json,
 )
 from lumitree.core.images import check_image_name, read_exr, tonemap, write_exr
+from lumitree.core.mitsuba_meshes import make_mesh
 from lumitree.core.reading import read_bytes
 from lumitree.core.work_folder import (
     atomic_files,
@@ -289,7 +290,7 @@ def test_outputs_that_cannot_be_written_are_refused_before(tmp_path):
 
 def test_a_full_disk_is_told_alike_by_mitsuba(mi, tmp_path):
     """Its streams raise RuntimeError with a line of its own."""
-    mesh = mi.Mesh("many", vertex_count=100_000, face_count=1)
+    mesh = make_mesh("many", {"vertices": np.zeros((100_000, 3)), "faces": [[0, 1, 2]]})
     with (
         largest_file(100),
         pytest.raises(WriteError, match=r"cannot write .*/a.ply: File too large; free"),
@@ -301,7 +302,7 @@ def test_a_full_disk_is_told_alike_by_mitsuba(mi, tmp_path):
 
 def test_small_files_are_not_lost_silently(mi, tmp_path):
     """OpenEXR and Mitsuba write them when they close them, and do not report that it failed."""
-    mesh = mi.Mesh("few", vertex_count=3, face_count=1)
+    mesh = make_mesh("few", {"vertices": np.eye(3), "faces": [[0, 1, 2]]})
     with largest_file(100):
         with pytest.raises(WriteError, match=r"cannot write .*/a.exr: File too large; free some"):
             write_exr(tmp_path / "a.exr", {"RGB": np.ones((8, 8, 3), np.float32)})

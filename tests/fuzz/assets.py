@@ -120,11 +120,12 @@ def _resize_light(draft, rng):
     field = draft.asset.light_field
     outer, inner = light_layouts(_counts(field), field.resolution)
     sizes = _resize(draft, rng, "light.stream", outer + inner)
-    counts = {"cells": sizes["cells"], "bins": sizes["intensity"]}
+    counts = {"cells": sizes["cells"], "bins": sizes["intensity"], "divided": sizes["bent"]}
     if field.inside is not None:
-        names = ("cells", "distances", "reach_curves", "visibility_curves")
+        names = ("cells", "distances", "reach_curves")
         own = {name: sizes[f"inside.{name}"] for name in names}
         own["entries"] = sizes["inside.intensity"]
+        own["divided"] = sizes["inside.bent"]
         _set_member(draft, "light", lambda light: light | {"inside": light["inside"] | own})
     _set_member(draft, "light", lambda light: light | counts)
 

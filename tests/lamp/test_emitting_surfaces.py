@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import lumitree
+from lumitree.core.mitsuba_meshes import make_mesh
 from lumitree.lamp.emitting_surfaces import emitting_surfaces
 from lumitree.lamp.loading import load_luminaire
 from support.camera_flux import flux_by_camera_paths
@@ -34,12 +35,7 @@ def quads(mi, path, *corners_and_uv):
     faces = np.concatenate(
         [np.array([[0, 1, 2], [0, 2, 3]]) + 4 * i for i in range(len(corners_and_uv))]
     )
-    mesh = mi.Mesh("quads", len(points), len(faces), has_vertex_texcoords=True)
-    params = mi.traverse(mesh)
-    params["vertex_positions"] = points.ravel().astype(np.float32)
-    params["vertex_texcoords"] = uv.ravel().astype(np.float32)
-    params["faces"] = faces.ravel().astype(np.uint32)
-    params.update()
+    mesh = make_mesh("quads", {"vertices": points, "faces": faces, "texcoords": uv})
     mesh.write_ply(str(path))
     return {"type": "ply", "filename": str(path), "face_normals": True}
 

@@ -1,12 +1,16 @@
 """Shapes of a scene are chosen by id, by their BSDF's id or by number, and are listed."""
 
+import gc
 import json
 
+import numpy as np
 import pytest
 
+from lumitree.core.device import on_device
 from lumitree.errors import LumitreeError
 from lumitree.lamp.loading import load_luminaire
 from lumitree.lamp.scene_file import SceneFile
+from lumitree.lamp.scene_shapes import build_again, reusable_shapes, shape_groups
 from lumitree.lamp.source import LuminaireSource
 from support.lamps import AREA, cube, scene, sphere
 
@@ -116,3 +120,52 @@ def test_preview_prints_and_returns_them(mi, tmp_path, capsys):
     assert [shape["number"] for shape in shapes] == [0, 2, 3, 4]
     assert shapes[1]["bsdf"] == "twosided"
     assert shapes[0]["emitter"] == "area"
+
+
+@pytest.mark.parametrize("kind", ["sphere", "disk", "cylinder", "rectangle", "cube"])
+def test_a_group_of_shapes_is_built_again(mi, kind):
+    """Mitsuba builds a scene again if its shapes are marked: then rays find where they are now.
+
+    Another scene under OptiX depends on the mark.
+    """
+    group = {"type": "shapegroup", "shape": {"type": kind}}
+    repeated = {"type": "instance", "shapegroup": {"type": "ref", "id": "group"}}
+    scene = mi.load_dict({"type": "scene", "group": group, "repeated": repeated})
+    ray = mi.Ray3f(mi.Point3f(6.9, 0.2, 1), mi.Vector3f(-1, 0, -0.55))
+    parameters = mi.traverse(scene)
+    shape = "group.shape."
+    if kind == "cube":
+        vertices = np.array(parameters[shape + "vertex_positions"]).reshape(-1, 3)
+        vertices[:, 0] += 5
+        parameters[shape + "vertex_positions"] = on_device(mi.Float, vertices)
+        # Normals that do not follow from the vertices.
+        parameters[shape + "vertex_normals"] = on_device(mi.Float, np.tile([0.0, 1, 0], (24, 1)))
+    else:
+        parameters[shape + "to_world"] = mi.Transform4f().translate([5, 0, 0])
+    # Nothing has been told of the change.
+    scene.parameters_changed([])
+    assert not scene.ray_test(ray)[0]
+    build_again(shape_groups(scene))
+    scene.parameters_changed([])
+    assert scene.ray_test(ray)[0]
+    if kind == "cube":
+        normals = np.array(mi.traverse(scene)[shape + "vertex_normals"]).reshape(-1, 3)
+        assert (normals == [0, 1, 0]).all()
+
+
+def test_reading_a_scene_does_not_keep_it(mi):
+    """Its shapes are freed with it, and not by the garbage collector: their number is free."""
+    from lumitree.rendering.plugins.objects import shape_number
+
+    gc.collect()
+    gc.disable()
+    try:
+        numbers = []
+        for _ in range(2):
+            scene = mi.load_dict({"type": "scene", "ball": {"type": "sphere"}})
+            numbers.append(shape_number(scene.shapes()[0]))
+            reusable_shapes(scene)
+            del scene
+    finally:
+        gc.enable()
+    assert numbers[0] == numbers[1]

@@ -8,8 +8,8 @@ import pytest
 
 from lumitree.asset.asset import NO_GAIN
 from lumitree.asset.file import load, save
-from lumitree.core.backend import load_mitsuba
 from lumitree.core.device import on_device
+from lumitree.core.mitsuba_meshes import make_mesh
 from lumitree.errors import LumitreeError
 from lumitree.lamp.loading import load_luminaire
 from lumitree.lamp.media import absorption, stored_medium
@@ -313,16 +313,10 @@ def test_a_scene_without_a_file_is_refused(mi, luminaire):
 
 
 @pytest.mark.parametrize("normals", [False, True])
-def test_mirrored_instances_keep_their_outside(luminaire, tmp_path, normals):
+def test_mirrored_instances_keep_their_outside(mi, luminaire, tmp_path, normals):
     """Mitsuba turns the normals of meshes that are mirrored, and not those of such instances."""
-    mi = load_mitsuba()
-    mesh = mi.Mesh("triangle", 3, 1, has_vertex_normals=normals)
-    parameters = mi.traverse(mesh)
-    parameters["vertex_positions"] = [0.0, 0, 0, 1, 0, 0, 0, 1, 0]
-    parameters["faces"] = [0, 1, 2]
-    if normals:
-        parameters["vertex_normals"] = [0.0, 0, 1] * 3
-    parameters.update()
+    arrays = {"vertices": [[0, 0, 0], [1, 0, 0], [0, 1, 0]], "faces": [[0, 1, 2]]}
+    mesh = make_mesh("triangle", arrays | {"normals": [[0, 0, 1]] * 3 if normals else None})
     mesh.write_ply(str(tmp_path / "triangle.ply"))
     file = f'<string name="filename" value="{tmp_path}/triangle.ply"/>{GLASS}'
     lamp = luminaire(

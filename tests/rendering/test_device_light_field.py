@@ -7,7 +7,8 @@ import pytest
 
 import lumitree
 from lumitree.asset.asset import light_field_asset
-from lumitree.asset.light_field import make_light_field, unpack
+from lumitree.asset.light_field import make_light_field
+from lumitree.asset.packed_colours import unpack
 from lumitree.core.device import on_device
 from lumitree.core.frames import LocalFrame, rotation, similarity
 from support.fields import make_asset, uniform_asset
@@ -141,7 +142,6 @@ def test_points_and_rays_share_the_light(mi, light, name, other):
     import drjit as dr
 
     from lumitree.core.octahedral import bin_of
-    from lumitree.rendering.sampling.emitter_sampling import RayEnds
     from lumitree.rendering.sampling.proxy import BoxProxy, cone_pdf, sample_cone
 
     count, coarse = 1 << 20, 4
@@ -152,7 +152,7 @@ def test_points_and_rays_share_the_light(mi, light, name, other):
         return other * (0.01 + dr.square(dr.dot(axis, direction)))
 
     samples = uniform_samples(mi, count).next_2d()
-    direction, target = light.sample_point(origin, samples, mi.Bool(False))
+    direction, target = light.sample_point(origin, samples)
     arrives = BoxProxy(HALF).enter(origin, direction)[2]
     weight = light.contribution(target, mi.Float(density(direction)), arrives)
     radius = float(np.linalg.norm(HALF))
@@ -164,9 +164,8 @@ def test_points_and_rays_share_the_light(mi, light, name, other):
     whole, _ = light.eval(origin, entry, plain, near, enters, parallel=True)
     rest = mi.Color3f(0)
     if other:
-        inverse, seen = dr.rcp(density(plain)), mi.Bool(False)
-        ends = RayEnds(mi.Float(dr.inf), mi.Float(dr.inf))
-        rest = light.received(origin, entry, plain, near, inverse, seen, ends, enters)
+        inverse, end = dr.rcp(density(plain)), mi.Float(dr.inf)
+        rest = light.received(origin, entry, plain, near, inverse, end, enters)
         # Only the balance heuristic with a positive b bounds the weights of near points.
         volume = np.array(light.cells.volume)
         brightest = unpack(some_light().intensity).max() * some_light().scale

@@ -107,11 +107,11 @@ def test_methods_of_the_emitter_agree_on_it(mi, asset):
         specular_chain = mi.Bool(True)
         chances = mi.Float(0.3), mi.Float(0.5)
         ray = mi.Ray3f(it.p, ds.d)
-        ends = mi.Float(dr.inf), mi.Float(dr.inf)
+        end = mi.Float(dr.inf)
         radiance, through, pdf = emitter.eval_entered(
-            ray, si.t, it, specular_chain, *chances, ends, si.is_valid()
+            ray, si.t, it, specular_chain, *chances, end, si.is_valid()
         )
-        sampled = emitter.sample_target(it, sample, mi.Bool(True))
+        sampled = emitter.sample_target(it, sample, mi.Bool(False), mi.Bool(True))
         value, value_pdf = emitter.eval_target(it, sampled, *chances, sampled.valid)
         _, flux = emitter.sample_ray(0.0, sampler.next_1d(), sample, sampler.next_2d())
         light = (

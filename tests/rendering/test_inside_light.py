@@ -7,9 +7,10 @@ import pytest
 
 import lumitree
 from lumitree.asset.asset import light_field_asset
-from lumitree.asset.light_field import make_light_field, pack
+from lumitree.asset.light_field import make_light_field
 from lumitree.asset.light_inside import LightInside, parts_of_ending
 from lumitree.asset.lit_bins import by_coarse_bin
+from lumitree.asset.packed_colours import pack
 from lumitree.core.frames import rotation, similarity
 from lumitree.fit.light_field.bake import bake_light_field
 from lumitree.lamp.stored_geometry import stored_geometry
@@ -133,7 +134,6 @@ def test_points_and_rays_share_the_light(mi):
     import drjit as dr
 
     from lumitree.core.octahedral import bin_of, solid_angles
-    from lumitree.rendering.sampling.emitter_sampling import RayEnds
     from lumitree.rendering.sampling.light_bins import smooth_bin
     from lumitree.rendering.sampling.light_field import DeviceLightField
     from lumitree.rendering.sampling.light_inside import InsideLight
@@ -153,28 +153,24 @@ def test_points_and_rays_share_the_light(mi):
         lit=np.full((24, 2), 255, np.uint8),
         intensity=pack(np.repeat(ending.reshape(-1, 1), 3, axis=1)),
         reach=np.zeros(24 * 16, np.uint8),
-        visibility=np.zeros(24 * 16, np.uint8),
+        bent=pack(np.repeat(ending.reshape(-1, 1), 3, axis=1)),
+        bent_reach=np.zeros(24 * 16, np.uint8),
         distances=np.array([0, 3.0, 4.0], np.float32),
         reach_curves=np.array([[1, 1, 0]], np.float32),
-        visibility_curves=np.ones((1, 3), np.float32),
         scale=2.0,
     )
     field = dataclasses.replace(field, inside=inside)
     gain = (1.0, 1.0, 1.0)
-    light = InsideLight(field, HALF, DeviceLightField(field, HALF), gain, blocked=False)
+    light = InsideLight(field, HALF, DeviceLightField(field, HALF), gain)
     count, coarse, b = 1 << 20, 4, 0.3
     x = mi.Point3f(*(dr.opaque(mi.Float, each) for each in (0.31, -0.22, 0.13)))
     sample = uniform_samples(mi, count).next_2d()
-    point, cell, chance = light.sample_point(x, sample, mi.Bool(True))
-    offset = mi.Vector3f(point - x)
-    distance = dr.norm(offset)
-    direction = offset / distance
-    every = mi.Bool(True)
-    weight = light.contribution(direction, distance, cell, chance, mi.Float(b), every)
+    every, end = mi.Bool(True), mi.Float(dr.inf)
+    direction, target = light.sample_point(x, sample, every)
+    weight = light.contribution(direction, target, mi.Float(b), every)
     plain = mi.warp.square_to_uniform_sphere(uniform_samples(mi, count, 1).next_2d())
-    ends = RayEnds(mi.Float(dr.inf), mi.Float(dr.inf))
-    rest = light.received(x, x, plain, mi.Float(1 / b), ends, every)
-    whole = light.received(x, x, plain, mi.Float(0), ends, every)
+    rest = light.received(x, x, plain, mi.Float(1 / b), end, every)
+    whole = light.received(x, x, plain, mi.Float(0), end, every)
     missing = np.array(whole - rest, np.float64)[1] * 4 * np.pi
     found = np.array(weight, np.float64)[1]
     parts = [
@@ -191,7 +187,7 @@ def test_points_and_rays_share_the_light(mi):
     rays = np.array(plain).T[:64]
     fine = np.array(smooth_bin(-plain, 8))[:64]
     leaving = np.zeros((24, 64))
-    from lumitree.asset.light_field import unpack
+    from lumitree.asset.packed_colours import unpack
 
     rows = np.searchsorted(morton(cells), morton(field.cells))
     leaving[rows] = field.scale * field.dense(unpack(field.intensity)[:, 1])

@@ -153,15 +153,6 @@ def test_proxies_that_are_entered_at_one_distance_are_all_entered(mi, tmp_path):
     assert found == [(i, pytest.approx(4.5)) for i in range(3)]
 
 
-class Undivided:
-    """Leaves the proxies in the scene that is traced."""
-
-    def of(self, scene):
-        from lumitree.rendering.plugins.proxies import Divided, Owners, Proxies
-
-        return Divided(scene, Proxies([]), None, False, Owners({}))
-
-
 def room(mi, **objects):
     look = mi.ScalarTransform4f().look_at([0, 2, 6], [0, 0, 0], [0, 1, 0])
     film = {"type": "hdrfilm", "width": 16, "height": 16, "rfilter": {"type": "box"}}
@@ -190,17 +181,17 @@ def image(mi, scene, integrator, seed=0, spp=32):
 @pytest.mark.slow
 @pytest.mark.parametrize("hidden", [False, True])
 def test_a_divided_scene_looks_the_same(mi, lamps, hidden):
-    """A ball before four lamps, two of which overlap, before a wall.
+    """As under `volpath`, which traces the proxies: a ball before four lamps before a wall.
 
-    In a lamp's box it would not: only a divided scene knows where rays end there.
+    Two of the lamps overlap. In a lamp's box it would not look the same: `volpath` does not know
+    where rays end there.
     """
     ball = {"type": "sphere", "center": [0.4, 0.3, 3.0], "radius": 0.3}
     scene = room(mi, **lamps, ball=ball)
     kinds = [
-        mi.load_dict({"type": "lumitree_path", "max_depth": 4, "hide_emitters": hidden})
-        for _ in range(2)
+        mi.load_dict({"type": kind, "max_depth": 4, "hide_emitters": hidden})
+        for kind in ("lumitree_path", "volpath")
     ]
-    kinds[1]._divided = Undivided()
     batches = np.array([[image(mi, scene, k, seed) for seed in range(12)] for k in kinds])
     p = stats.ttest_ind(*batches, equal_var=False).pvalue
     p = p[np.isfinite(p)]

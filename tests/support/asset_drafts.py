@@ -36,7 +36,7 @@ class Draft:
         self.tensors = {name: each.copy() for name, each in field_tensors(asset).items()}
         self.members = [
             ("format", '"lumitree"'),
-            ("version", "3"),
+            ("version", "4"),
             ("luminaire", '"test"'),
             ("tree_depth", str(asset.tree_depth)),
             ("l_max", str(asset.l_max)),

@@ -4,8 +4,9 @@ import dataclasses
 
 import numpy as np
 
-from lumitree.asset.light_field import LightField, TracedPaths, make_light_field, pack
+from lumitree.asset.light_field import LightField, TracedPaths, make_light_field
 from lumitree.asset.light_inside import LightInside
+from lumitree.asset.packed_colours import pack, pack_part, unpack
 from lumitree.octree.build import morton
 
 
@@ -25,7 +26,8 @@ def random_light_field(
     intensity = random.exponential(3.0, (count, resolution**2, 3))
     intensity *= random.random((count, resolution**2, 1)) < 0.5
     intensity[:, 0] = 1
-    return make_light_field(cells, intensity, depth, traced)
+    bent = intensity * random.choice([0, 0.3, 1], (count, resolution**2, 1))
+    return make_light_field(cells, intensity, depth, traced, bent=bent)
 
 
 def random_inside(seed: int, field: LightField) -> LightInside:
@@ -48,13 +50,18 @@ def random_inside(seed: int, field: LightField) -> LightInside:
         cells=cells.astype(np.uint8),
         lit=np.packbits(lit, axis=1),
         intensity=pack(colours),
+        bent=random_part(random, pack(colours)),
         reach=random.integers(4, size=count, dtype=np.uint8),
-        visibility=random.integers(3, size=count, dtype=np.uint8),
+        bent_reach=random.integers(4, size=count, dtype=np.uint8),
         distances=np.array([0, 0.1, 0.5, 2], np.float32),
         reach_curves=np.append(reach, np.zeros((4, 1)), axis=1).astype(np.float32),
-        visibility_curves=random.uniform(0, 8, (3, 4)).astype(np.float32),
         scale=2.5,
     )
+
+
+def random_part(random: np.random.Generator, packed: np.ndarray) -> np.ndarray:
+    """Parts of packed colours: some are 0, some all, some between."""
+    return pack_part(random.choice([0, 0.3, 1], (len(packed), 1)) * unpack(packed), packed)
 
 
 def with_inside(seed: int, field: LightField) -> LightField:
@@ -64,7 +71,7 @@ def with_inside(seed: int, field: LightField) -> LightField:
 
 def assert_equal_fields(first: LightField, second: LightField) -> None:
     """Both hold the same numbers, of the same types."""
-    for name in ("cells", "lit", "intensity"):
+    for name in ("cells", "lit", "intensity", "bent"):
         one, other = getattr(first, name), getattr(second, name)
         assert one.dtype == other.dtype
         assert np.array_equal(one, other)

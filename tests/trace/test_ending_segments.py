@@ -20,6 +20,11 @@ def trace(mi, lamp, count, seed=1, depth=3):
     return trace_light(lamp, sampler, count, LOOP_DEPTH, all_light=True, ending=ending)
 
 
+def straight_part(segments):
+    """Flux [N, 3] of segments that are straight light, 0 of others."""
+    return np.where(np.array(segments.straight)[:, None], numbers(segments)[2], 0)
+
+
 def numbers(segments):
     """Origin [N, 3], direction [N, 3], flux [N, 3], reach [N]."""
     arrays = (segments.origin, segments.direction, segments.flux)
@@ -41,7 +46,7 @@ def test_the_paths_are_the_same(mi, shaded):
     alone = trace_light(shaded, sampler, 1 << 12, LOOP_DEPTH, all_light=True)
     assert alone.ending is None
     beside = trace(mi, shaded, 1 << 12)
-    for name in ("origin", "direction", "flux", "termination"):
+    for name in ("origin", "direction", "flux", "straight", "exit", "termination"):
         assert np.array_equal(np.array(getattr(alone, name)), np.array(getattr(beside, name)))
 
 
@@ -64,16 +69,15 @@ def test_a_small_ball_in_a_black_sphere(mi, tmp_path, shells):
     assert np.abs(reach - 1).max() < 1.1 * radius
 
 
-def test_light_that_leaves_through_null_surfaces_ends_at_the_last(mi, tmp_path):
-    """There the exitant light begins, so that each part of its way is in one of both."""
+def test_light_that_leaves_through_null_surfaces_does_not_end(mi, tmp_path):
+    """It starts at the emitter; `exit` is on the last null surface."""
     shapes = [sphere(f"null{i}", 0.5 + 0.25 * i, inside=NULL) for i in range(3)]
     lamp = lamp_of(tmp_path, sphere("ball", 0.01, inside=AREA), *shapes)
     paths = trace(mi, lamp, 1 << 12)
-    origin, _, flux, reach = numbers(paths.ending)
-    assert flux.sum(axis=0) == pytest.approx(np.array(paths.flux).sum(axis=1), rel=1e-5)
-    assert np.linalg.norm(origin, axis=1) == pytest.approx(0.01, abs=2e-4)
-    assert reach == pytest.approx(1, abs=0.011)
-    assert np.linalg.norm(np.array(paths.origin), axis=0) == pytest.approx(1, abs=2e-3)
+    assert not numbers(paths.ending)[2].any()
+    assert np.array(paths.straight).all()
+    assert np.linalg.norm(np.array(paths.origin), axis=0) == pytest.approx(0.01, abs=2e-4)
+    assert np.linalg.norm(np.array(paths.exit), axis=0) == pytest.approx(1, abs=2e-3)
 
 
 def test_a_bare_ball_has_none(mi, tmp_path):
@@ -94,7 +98,7 @@ def test_segments_within_a_cell_do_not_count(mi, tmp_path):
 
 
 def reference(mi, lamp, count, seed, depth):
-    """Flux [3], flux times reach [3] and luminance by cell of ending segments, event by event."""
+    """Flux [3], flux times reach [3] and straight flux [3] of ending segments, event by event."""
     import drjit as dr
 
     from lumitree.trace import light_paths
@@ -114,7 +118,8 @@ def reference(mi, lamp, count, seed, depth):
     sampler.schedule_state()
     dr.eval(ray, flux)
     begin = np.array(ray.o).T
-    total, moment = np.zeros(3), np.zeros(3)
+    straight = np.ones(count, bool)
+    total, moment, at_once = np.zeros(3), np.zeros(3), np.zeros(3)
     for _ in range(LOOP_DEPTH):
         si = scene.ray_intersect(ray, mi.Bool(active))
         sample, weight = si.bsdf().sample(context, si, sampler.next_1d(), sampler.next_2d())
@@ -124,29 +129,33 @@ def reference(mi, lamp, count, seed, depth):
         dr.eval(si.p, is_valid, is_null, weighted, following)
         valid = np.array(is_valid)
         null = np.array(is_null) & valid
-        end = np.where(valid[:, None], np.array(si.p).T, np.array(ray.o).T)
-        stops = active & ~null
+        end = np.array(si.p).T
+        stops = active & valid & ~null
         start, stop = (points @ to_local[:3, :3].T + to_local[:3, 3] for points in (begin, end))
         cells = [np.clip(np.floor((each + 1) * side / 2), 0, side - 1) for each in (start, stop)]
         stops &= (cells[0] != cells[1]).any(axis=1)
         carried = np.array(flux).T[stops]
         total += carried.sum(axis=0)
+        at_once += carried[straight[stops]].sum(axis=0)
         moment += (carried * np.linalg.norm(stop - start, axis=1)[stops, None]).sum(axis=0)
         flux, ray = weighted, following
         active &= valid & (np.array(flux).max(axis=0) > 0)
         begin = np.where((active & ~null)[:, None], np.array(ray.o).T, begin)
+        straight &= null
         if not active.any():
             break
     scale = count * lamp.frame.scale**2
-    return total / scale, moment / scale
+    return total / scale, moment / scale, at_once / scale
 
 
 def test_flux_and_reach_are_those_of_a_slow_trace(mi, shaded):
     """Means of independent batches, by a z-test."""
     found, expected = [], []
     for seed in range(16):
-        _, _, flux, reach = numbers(trace(mi, shaded, 1 << 13, seed).ending)
-        found.append([flux.sum(axis=0), (flux * reach[:, None]).sum(axis=0)])
+        segments = trace(mi, shaded, 1 << 13, seed).ending
+        flux, reach = numbers(segments)[2:]
+        each = flux, flux * reach[:, None], straight_part(segments)
+        found.append([values.sum(axis=0) for values in each])
         expected.append(reference(mi, shaded, 1 << 13, 1000 + seed, 3))
     found, expected = np.array(found), np.array(expected)
     error = np.sqrt((found.var(axis=0, ddof=1) + expected.var(axis=0, ddof=1)) / 16)
@@ -171,6 +180,8 @@ def test_light_behind_glass_ends_at_the_glass(mi, tmp_path):
         assert (np.abs(ends - radius) < 2e-3).any()
     assert ((np.abs(ends - 0.5) < 2e-3) | (np.abs(ends - 1) < 2e-3) | (ends < 0.02)).all()
     # All emitted light gets to the black sphere in the end, most of it at once.
+    straight = np.array(paths.ending.straight)
+    assert np.array_equal(straight, begins < 0.02)
     last = flux[ends > 0.9].sum(axis=0)
     assert (begins[ends > 0.9] > 0.49).all()
     expected = 4 * np.pi**2 * 1e-4 * np.array([3, 2, 1])

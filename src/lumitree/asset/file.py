@@ -46,7 +46,7 @@ from lumitree.core.transmittance import LAWS
 from lumitree.errors import LumitreeError, shown
 
 FORMAT = "lumitree"
-VERSION = 3
+VERSION = 4
 ACTIVATION = "sigmoid"
 _MAX_HEADER_BYTES = 1 << 20
 MAX_BYTES = 1 << 32

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from lumitree.asset.checks import expect, expect_arrays
 from lumitree.asset.light_inside import LightInside
 from lumitree.asset.lit_bins import Number, dense
+from lumitree.asset.packed_colours import EXPONENT_SHIFT, is_part, pack_lit, pack_part
 from lumitree.core.seeds import MAX_SEED
 from lumitree.errors import LumitreeError, shown
 from lumitree.octree.build import morton
@@ -28,15 +29,6 @@ MAX_DEPTH, MAX_RESOLUTION = 7, 512
 MAX_BINS = 1 << 28
 # Limits of `TracedPaths`.
 MAX_PATHS, MAX_SEEDS = 1 << 50, 1 << 12
-# Red, green and blue of 9 bits with a common exponent of 5 bits, as OpenGL's RGB9_E5. Colours
-# are at most 1, so the exponent's offset is 31 in place of 15: darker colours can be stored.
-_EXPONENT_OFFSET, _MANTISSA_BITS, _EXPONENT_BITS = 31, 9, 5
-# Where the mantissas and the exponent are in a number, and a mantissa's bits. The unit of the
-# mantissas is 2 to the power of the exponent less `EXPONENT_OF_ONE`.
-MANTISSA_SHIFTS = (0, _MANTISSA_BITS, 2 * _MANTISSA_BITS)
-EXPONENT_SHIFT = 3 * _MANTISSA_BITS
-MANTISSA = (1 << _MANTISSA_BITS) - 1
-EXPONENT_OF_ONE = _MANTISSA_BITS + _EXPONENT_OFFSET - 1
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,7 +82,8 @@ class TracedPaths:
 class LightField:
     """Radiant intensity by direction of the cells of a grid over the cube [-1, 1]³.
 
-    A cell stands for all light whose last vertex inside the luminaire is in it. Occlusion,
+    A cell stands for all light whose last vertex in the luminaire is in it. Null interactions are
+    no vertices: light that passed nothing else since its emitter is *straight*. Occlusion,
     refraction and scattering inside the luminaire are contained in its intensity. The light starts
     anywhere in the part of the cell that is inside the luminaire's box, with equal probability.
 
@@ -99,6 +92,8 @@ class LightField:
         lit: uint8 [C, R² / 8], which bins of each cell emit; the first bin in the highest bit.
         intensity: uint32 [B], radiant intensity of the bins that emit, by cell and then by bin:
             RGB9_E5 numbers (`unpack`) times `scale`. Local units: radiance times local area.
+        bent: uint32 [B], the part of each intensity that is not straight, likewise; in no channel
+            more than `intensity`.
         depth: the grid has 2**depth cells a side, 1 to 7.
         resolution: R, a power of two from 4 to 512.
         scale: the largest intensity that occurs.
@@ -115,6 +110,7 @@ class LightField:
     cells: NDArray[np.uint8]
     lit: NDArray[np.uint8]
     intensity: NDArray[np.uint32]
+    bent: NDArray[np.uint32]
     depth: int
     resolution: int
     scale: float
@@ -134,6 +130,7 @@ class LightField:
                 "cells": (self.cells, np.uint8, (*first, 3)),
                 "lit": (self.lit, np.uint8, (*first, bins // 8)),
                 "intensity": (self.intensity, np.uint32, (self.intensity.size,)),
+                "bent": (self.bent, np.uint32, self.intensity.shape),
             },
         )
         count = len(self.cells)
@@ -148,8 +145,9 @@ class LightField:
         # A renderer divides by the flux of a cell.
         _expect(self.lit.any(axis=1).all(), "a cell emits nothing")
         _expect((self.intensity & ((1 << EXPONENT_SHIFT) - 1)).all(), "an intensity is 0")
+        _expect(is_part(self.bent, self.intensity), "a bent part is larger than its intensity")
         if self.inside is not None:
-            self.inside.check_beside(self.cells, self.lit, self.depth, self.resolution)
+            self.inside.check_beside(self.cells, self.depth, self.resolution)
 
     def __repr__(self) -> str:
         return (
@@ -158,10 +156,38 @@ class LightField:
         )
 
     @property
+    def has_straight_light(self) -> bool:
+        """Whether some of its light is known to be straight."""
+        return not np.array_equal(self.bent, self.intensity)
+
+    @functools.cached_property
+    def bent_light(self) -> "LightField":
+        """The field of its bent light alone, which is all of this field's light."""
+        bins = self.resolution**2
+        bent = self.dense(self.bent)
+        if not bent.any():
+            # A field has light: here the least that can be stored.
+            bent[0, 0] = 1
+        emits = np.flatnonzero(bent.any(axis=1))
+        bent, inside = bent[emits], self.inside
+        if inside is not None:
+            inside = dataclasses.replace(inside, intensity=inside.bent, reach=inside.bent_reach)
+        found = bent[bent != 0]
+        return dataclasses.replace(
+            self,
+            cells=self.cells[emits],
+            lit=np.packbits(bent.reshape(-1, bins) != 0, axis=1),
+            intensity=found,
+            bent=found,
+            inside=inside,
+        )
+
+    @property
     def num_bytes(self) -> int:
         """Bytes of all arrays."""
         inside = 0 if self.inside is None else self.inside.num_bytes
-        return self.cells.nbytes + self.lit.nbytes + self.intensity.nbytes + inside
+        arrays = self.cells, self.lit, self.intensity, self.bent
+        return sum(each.nbytes for each in arrays) + inside
 
     def dense(self, values: NDArray[Number]) -> NDArray[Number]:
         """Values [B] of the bins that emit, by cell and bin [C, R²]; 0 in other bins."""
@@ -174,6 +200,7 @@ def make_light_field(
     depth: int,
     traced: TracedPaths | None = None,
     *,
+    bent: NDArray[np.floating] | None = None,
     absolute: bool = False,
 ) -> LightField:
     """A light field from the intensities of all bins.
@@ -183,6 +210,7 @@ def make_light_field(
         intensity: [C, R², 3] radiant intensity, local units, at least 0.
         depth: of the grid.
         traced: the light paths that the intensities were estimated from, if they are known.
+        bent: [C, R², 3] the part of the intensity that is not straight; default: all.
         absolute: as of `LightField`.
 
     Raises:
@@ -199,53 +227,18 @@ def make_light_field(
     emits = emits[np.argsort(morton(cells[emits]))]
     packed = packed[emits]
     lit = packed > 0
+    words = packed[lit]
     return LightField(
         cells=cells[emits].astype(np.uint8),
         lit=np.packbits(lit, axis=1),
-        intensity=packed[lit],
+        intensity=words,
+        bent=words if bent is None else pack_part(bent[emits][lit] / scale, words),
         depth=depth,
         resolution=int(np.sqrt(bins)),
         scale=scale,
         traced=traced,
         absolute=absolute,
     )
-
-
-def pack_lit(intensity: NDArray[np.floating], scale: float) -> NDArray[np.uint32]:
-    """Intensities [..., 3] over `scale` as RGB9_E5 numbers [...]; most may be 0."""
-    packed = np.zeros(intensity.shape[:-1], np.uint32)
-    lit = intensity.any(axis=-1)
-    packed[lit] = pack(intensity[lit] / scale)
-    return packed
-
-
-def pack(colours: NDArray[np.floating]) -> NDArray[np.uint32]:
-    """Colours [..., 3] from 0 to 1 as RGB9_E5 numbers [...].
-
-    The error of a channel is at most 0.2 % of the colour's largest channel, or 2⁻⁴⁰ if that is
-    more.
-    """
-    largest = colours.max(axis=-1)
-    # Exponent e of the largest channel: it is below 2^e.
-    _, exponent = np.frexp(largest)
-    # Rounding must not carry the largest mantissa beyond its bits.
-    carries = np.round(np.ldexp(largest, _MANTISSA_BITS - exponent)) > MANTISSA
-    exponent = np.clip(exponent + carries + _EXPONENT_OFFSET - 1, 0, 2**_EXPONENT_BITS - 1)
-    shift = EXPONENT_OF_ONE - exponent
-    mantissa = np.round(np.ldexp(colours, shift[..., None])).astype(np.uint32)
-    mantissa = np.minimum(mantissa, MANTISSA)
-    packed = exponent.astype(np.uint32) << EXPONENT_SHIFT
-    for channel, place in enumerate(MANTISSA_SHIFTS):
-        packed |= mantissa[..., channel] << place
-    return np.where(mantissa.any(axis=-1), packed, 0).astype(np.uint32)
-
-
-def unpack(packed: NDArray[np.uint32]) -> NDArray[np.float64]:
-    """Colours [..., 3] of RGB9_E5 numbers [...]."""
-    exponent = (packed >> EXPONENT_SHIFT).astype(np.int64)
-    mantissas = [packed >> place & MANTISSA for place in MANTISSA_SHIFTS]
-    shift = exponent - EXPONENT_OF_ONE
-    return np.ldexp(np.stack(mantissas, axis=-1).astype(np.float64), shift[..., None])
 
 
 def _check_scalars(field: LightField) -> None:

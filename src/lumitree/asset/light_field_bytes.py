@@ -1,6 +1,8 @@
 """The light field as a tensor and a description of its file, see docs/format.md.
 
-The tensor is one zlib stream of all arrays, whose sizes are in the description.
+The tensor is one zlib stream of all arrays, whose sizes are in the description. Most bins have
+either straight or bent light, so the bent part of an intensity is stored only in bins that have
+both, and a byte for each bin states which it has.
 """
 
 import dataclasses
@@ -19,18 +21,22 @@ LIGHT_FIELD_TENSORS = {"light.stream": "U8"}
 _KEYS = ("depth", "resolution", "scale")
 _TRACED_KEYS = ("count", "seeds", "luminaire", "noise")
 # Numbers of rows of the arrays.
-_COUNTS = ("cells", "bins")
-_INSIDE_COUNTS = ("cells", "entries", "distances", "reach_curves", "visibility_curves")
+_COUNTS = ("cells", "bins", "divided")
+_INSIDE_COUNTS = ("cells", "entries", "divided", "distances", "reach_curves")
 # Before the names of arrays of the light inside.
 _INSIDE = "inside."
+# Which light a bin has: bent alone, straight alone, or both.
+_BENT, _STRAIGHT, _BOTH = 0, 1, 2
 
 
 def light_field_tensors(field: LightField) -> dict[str, NDArray[Any]]:
     """Tensors of a field, by name."""
     outer, inner = _layouts(_counts(field), field.resolution)
-    arrays = {each.name: getattr(field, each.name) for each in outer}
-    for each in inner:
-        arrays[each.name] = getattr(field.inside, each.name.removeprefix(_INSIDE))
+    arrays = vars(field) | _stored_parts(field)
+    if (inside := field.inside) is not None:
+        own = vars(inside) | _stored_parts(inside)
+        own["bent_reach"] = inside.bent_reach - inside.reach
+        arrays |= {_INSIDE + name: each for name, each in own.items()}
     return {"light.stream": compressed(arrays, outer + inner)}
 
 
@@ -59,6 +65,10 @@ def build_light_field(description: Record, tensors: dict[str, NDArray[Any]]) -> 
     outer, inner = _layouts((_read_counts(description, _COUNTS), inside_counts), resolution)
     arrays = decompressed(tensors["light.stream"], outer + inner, "the light field")
     inside_arrays = {each.name.removeprefix(_INSIDE): arrays.pop(each.name) for each in inner}
+    _restore_bent(arrays)
+    if own is not None:
+        _restore_bent(inside_arrays)
+        inside_arrays["bent_reach"] += inside_arrays["reach"]
     traced = _build_traced(description.record("traced")) if description.has("traced") else None
     inside = LightInside(**inside_arrays, scale=own.number("scale")) if own is not None else None
     return LightField(
@@ -84,16 +94,41 @@ def _build_traced(description: Record) -> TracedPaths:
 
 def _counts(field: LightField) -> tuple[dict[str, int], dict[str, int]]:
     """Numbers of rows of the arrays of a field, and of its light inside the box, if it has any."""
-    outer = {"cells": len(field.cells), "bins": len(field.intensity)}
+    outer = {
+        "cells": len(field.cells),
+        "bins": len(field.intensity),
+        "divided": int(np.count_nonzero(_light_of_bins(field) == _BOTH)),
+    }
     if (inside := field.inside) is None:
         return outer, {}
     return outer, {
         "cells": len(inside.cells),
         "entries": len(inside.intensity),
+        "divided": int(np.count_nonzero(_light_of_bins(inside) == _BOTH)),
         "distances": len(inside.distances),
         "reach_curves": len(inside.reach_curves),
-        "visibility_curves": len(inside.visibility_curves),
     }
+
+
+def _light_of_bins(light: LightField | LightInside) -> NDArray[np.uint8]:
+    """Which light each bin has."""
+    found = np.where(light.bent == 0, _STRAIGHT, _BOTH)
+    return np.where(light.bent == light.intensity, _BENT, found).astype(np.uint8)
+
+
+def _stored_parts(light: LightField | LightInside) -> dict[str, NDArray[Any]]:
+    """The bent part of an intensity, as a file has it."""
+    kinds = _light_of_bins(light)
+    return {"kinds": kinds, "bent": light.bent[kinds == _BOTH]}
+
+
+def _restore_bent(arrays: dict[str, NDArray[Any]]) -> None:
+    """Replace the arrays of `_stored_parts` by the bent part of each bin."""
+    kinds, stored = arrays.pop("kinds"), arrays["bent"]
+    if (found := np.count_nonzero(kinds == _BOTH)) != len(stored) or (kinds > _BOTH).any():
+        raise LumitreeError(f"{len(stored)} bent parts for {found} bins that have both")
+    arrays["bent"] = np.where(kinds == _BENT, arrays["intensity"], np.uint32(0))
+    arrays["bent"][kinds == _BOTH] = stored
 
 
 def _read_counts(description: Record, keys: tuple[str, ...]) -> dict[str, int]:
@@ -113,18 +148,21 @@ def _layouts(
         Layout("cells", np.uint8, (counts_outer["cells"], 3)),
         Layout("lit", np.uint8, (counts_outer["cells"], resolution**2 // 8)),
         Layout("intensity", np.uint32, (counts_outer["bins"],)),
+        Layout("kinds", np.uint8, (counts_outer["bins"],)),
+        Layout("bent", np.uint32, (counts_outer["divided"],)),
     ]
     if not counts_inner:
         return outer, []
-    cells, entries, distances, reach, visibility = (counts_inner[key] for key in _INSIDE_COUNTS)
+    cells, entries, divided, distances, curves = (counts_inner[key] for key in _INSIDE_COUNTS)
     inner: list[tuple[str, Any, tuple[int, ...]]] = [
         ("cells", np.uint8, (cells, 3)),
         ("lit", np.uint8, (cells, -(-((resolution // 2) ** 2) // 8))),
         ("intensity", np.uint32, (entries,)),
+        ("kinds", np.uint8, (entries,)),
+        ("bent", np.uint32, (divided,)),
         ("reach", np.uint8, (entries,)),
-        ("visibility", np.uint8, (entries,)),
+        ("bent_reach", np.uint8, (entries,)),
         ("distances", np.float32, (distances,)),
-        ("reach_curves", np.float32, (reach, distances)),
-        ("visibility_curves", np.float32, (visibility, distances)),
+        ("reach_curves", np.float32, (curves, distances)),
     ]
     return outer, [Layout(_INSIDE + name, dtype, shape) for name, dtype, shape in inner]

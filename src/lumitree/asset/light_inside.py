@@ -9,12 +9,9 @@ Symbols
     I   radiant intensity of a cell that leaves the box, from the light field
     J   radiant intensity of a cell that ends on the luminaire
     s   reach: part of J that gets farther than r
-    V   whether the luminaire's own surfaces leave the way from a cell to a receiver free
-    κ   visibility factor: the mean of I + J s over a bin of a cell, over that of (I + J) V
 
-A receiver at distance r from a point of a cell gets I + J s, in which V is contained on average
-over the bin and the cell. Where the luminaire's surfaces are in the scene, it gets (I + J) V κ,
-which has the same mean, and the shadows are the surfaces'.
+A receiver at distance r from a point of a cell gets I + J s. The parts of I and J that are not
+straight (`lumitree.asset.light_field`) are stored beside them, with a reach of their own.
 """
 
 import dataclasses
@@ -24,14 +21,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.checks import expect, expect_arrays
+from lumitree.asset.packed_colours import is_part
 from lumitree.octree.build import morton
 
 _expect = functools.partial(expect, "light inside the box")
 # An entry names a curve by 8 bits.
 MAX_CURVES, MAX_DISTANCES = 256, 64
 MAX_ENTRIES = 1 << 28
-# κ is at most this: of light from a bin whose surfaces let almost nothing pass, some is lost.
-MAX_FACTOR = 8.0
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -44,14 +40,14 @@ class LightInside:
         cells: uint8 [C, 3], coordinates of the cells that light leaves, in Morton order: those of
             the light field, and others whose light all ends on the luminaire.
         lit: uint8 [C, ⌈Q² / 8⌉], which bins of each cell have an entry; the first bin in the
-            highest bit. All do that contain a bin of the light field that emits.
-        intensity: uint32 [E], J by cell and then by bin: RGB9_E5 numbers (`light.unpack`) times
-            `scale`; 0 where nothing ends. Local units, as those of the light field.
-        reach: uint8 [E], row of each entry in `reach_curves`.
-        visibility: uint8 [E], row of each entry in `visibility_curves`.
+            highest bit.
+        intensity: uint32 [E], J by cell and then by bin: RGB9_E5 numbers
+            (`packed_colours.unpack`) times `scale`. Local units, as those of the light field.
+        bent: uint32 [E], the part of J that is not straight, likewise; in no channel more than J.
+        reach: uint8 [E], row of J in `reach_curves`.
+        bent_reach: uint8 [E], row of the bent part in `reach_curves`.
         distances: float32 [K], increasing from 0, local units.
         reach_curves: float32 [.., K], s, 0 to 1, not increasing, the last 0.
-        visibility_curves: float32 [.., K], κ, 0 to `MAX_FACTOR`.
         scale: factor of `intensity`.
 
     Raises:
@@ -61,11 +57,11 @@ class LightInside:
     cells: NDArray[np.uint8]
     lit: NDArray[np.uint8]
     intensity: NDArray[np.uint32]
+    bent: NDArray[np.uint32]
     reach: NDArray[np.uint8]
-    visibility: NDArray[np.uint8]
+    bent_reach: NDArray[np.uint8]
     distances: NDArray[np.float32]
     reach_curves: NDArray[np.float32]
-    visibility_curves: NDArray[np.float32]
     scale: float
 
     def __post_init__(self) -> None:
@@ -79,18 +75,14 @@ class LightInside:
                 "cells": (self.cells, np.uint8, (*first, 3)),
                 "lit": (self.lit, np.uint8, (*first, *bins)),
                 "intensity": (self.intensity, np.uint32, (self.intensity.size,)),
+                "bent": (self.bent, np.uint32, entries),
                 "reach": (self.reach, np.uint8, entries),
-                "visibility": (self.visibility, np.uint8, entries),
+                "bent_reach": (self.bent_reach, np.uint8, entries),
                 "distances": (self.distances, np.float32, (self.distances.size,)),
                 "reach_curves": (
                     self.reach_curves,
                     np.float32,
                     (*self.reach_curves.shape[:1], *distances),
-                ),
-                "visibility_curves": (
-                    self.visibility_curves,
-                    np.float32,
-                    (*self.visibility_curves.shape[:1], *distances),
                 ),
             },
         )
@@ -101,6 +93,7 @@ class LightInside:
         _expect((np.diff(morton(self.cells)) > 0).all(), "cells are repeated or out of order")
         found = int(np.bitwise_count(self.lit).sum())
         _expect(found == entries[0], f"{entries[0]} intensities for {found} bins that have light")
+        _expect(is_part(self.bent, self.intensity), "a bent part is larger than its intensity")
         steps = self.distances
         _expect(
             2 <= len(steps) <= MAX_DISTANCES
@@ -109,26 +102,21 @@ class LightInside:
             and (np.diff(steps) > 0).all(),
             f"distances are no increasing numbers from 0, 2 to {MAX_DISTANCES}",
         )
-        for name, curves, largest in (
-            ("reach", self.reach_curves, 1.0),
-            ("visibility", self.visibility_curves, MAX_FACTOR),
-        ):
-            rows = getattr(self, name)
-            _expect(
-                1 <= len(curves) <= MAX_CURVES
-                and (curves >= 0).all()
-                and (curves <= largest).all(),
-                f"{name} curves are not 1 to {MAX_CURVES} of numbers from 0 to {largest:g}",
-            )
-            _expect((rows < len(curves)).all(), f"a {name} curve is named that is not there")
+        curves = self.reach_curves
         _expect(
-            (np.diff(self.reach_curves, axis=1) <= 0).all() and not self.reach_curves[:, -1].any(),
+            1 <= len(curves) <= MAX_CURVES and (curves >= 0).all() and (curves <= 1).all(),
+            f"reach curves are not 1 to {MAX_CURVES} of numbers from 0 to 1",
+        )
+        _expect(
+            (self.reach < len(curves)).all() and (self.bent_reach < len(curves)).all(),
+            "a reach curve is named that is not there",
+        )
+        _expect(
+            (np.diff(curves, axis=1) <= 0).all() and not curves[:, -1].any(),
             "a reach increases, or does not end at 0",
         )
 
-    def check_beside(
-        self, cells: NDArray[np.uint8], lit: NDArray[np.uint8], depth: int, resolution: int
-    ) -> None:
+    def check_beside(self, cells: NDArray[np.uint8], depth: int, resolution: int) -> None:
         """Refuse it beside a light field that it does not fit; arguments as its members."""
         bins = (resolution // 2) ** 2
         expect_arrays(
@@ -142,10 +130,6 @@ class LightInside:
             len(own) >= len(codes) and (own[rows] == codes).all(),
             "a cell of the light field is missing",
         )
-        coarse = resolution // 2
-        emits = np.unpackbits(lit, axis=1).reshape(-1, coarse, 2, coarse, 2).any(axis=(2, 4))
-        needed = np.packbits(emits.reshape(-1, bins), axis=1)
-        _expect(not (needed & ~self.lit[rows]).any(), "a bin that emits has no entry")
         if padding := -bins % 8:
             _expect(
                 not (self.lit & ((1 << padding) - 1)).any(), "a bin beyond the last has an entry"

@@ -7,14 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.core.mitsuba_meshes import VERTEX_COLOUR
 from lumitree.core.reading import Record
 from lumitree.errors import LumitreeError, shown
 
 Json = dict[str, Any]
 Range = tuple[float, float]
 
-# The mesh attribute of vertex colours.
-VERTEX_COLOUR = "vertex_color"
 VERTEX_RANGE = (0.0, 1.0)
 _MAX_TRANSFORM = 1e4
 # Largest texture coordinate in pixels. Mitsuba rounds it to an integer of 32 bits, and weights

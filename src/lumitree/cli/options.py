@@ -117,8 +117,8 @@ def add_variant(parser: argparse.ArgumentParser, more: str = "") -> None:
     parser.add_argument(
         "--variant",
         metavar="NAME",
-        help="Mitsuba variant; cuda_ad_rgb, for an NVIDIA GPU, is little tested (default: "
-        "llvm_ad_rgb)" + more,
+        help="Mitsuba variant; cuda_ad_rgb, for NVIDIA GPUs, is little tested, and metal_ad_rgb, "
+        "for Apple silicon, untested (default: llvm_ad_rgb)" + more,
     )
 
 

@@ -99,15 +99,13 @@ def _load(variant: str | None, kinds: tuple[str, ...]) -> Any:
         raise LumitreeError(f"DRJIT_LIBLLVM_PATH names {chosen}, which is not a file; {_remedy()}")
     mi = _import_mitsuba()
     variant = str(variant or mi.variant() or CPU_VARIANT)
+    choose = "choose " + " or ".join(each for each in mi.variants() if each.endswith(_RGB))
     if variant not in mi.variants():
-        raise LumitreeError(
-            f"this Mitsuba has no variant {variant!r}; choose {CPU_VARIANT} or {GPU_VARIANT}"
-        )
+        raise LumitreeError(f"this Mitsuba has no variant {variant!r}; {choose}")
     if not variant.endswith(kinds):
         only = "; spectral variants only render scenes" if variant.endswith(_SPECTRAL) else ""
         raise LumitreeError(
-            f"lumitree needs a vectorised RGB variant of Mitsuba, not {variant!r}{only}; "
-            f"choose {CPU_VARIANT} or {GPU_VARIANT}"
+            f"lumitree needs a vectorised RGB variant of Mitsuba, not {variant!r}{only}; {choose}"
         )
     if variant.startswith("llvm"):
         check_llvm(importlib.import_module("drjit").detail.llvm_version(), chosen)
@@ -170,12 +168,13 @@ def second_thread() -> Iterator[None]:
 
 
 def warn_of_gpu(variant: str) -> None:
-    """Warn, once in a process, that a variant for GPUs is little tested."""
+    """Warn, once in a process, that a variant for GPUs is little tested, or untested (Metal's)."""
     global _warned_of_gpu
-    if variant.startswith("cuda") and not _warned_of_gpu:
+    if not variant.startswith("llvm") and not _warned_of_gpu:
         _warned_of_gpu = True
+        tested = "little tested" if variant.startswith("cuda") else "untested"
         warnings.warn(
-            f"{variant} is little tested; compare what it computes with {CPU_VARIANT}",
+            f"{variant} is {tested}; compare what it computes with {CPU_VARIANT}",
             LumitreeWarning,
             stacklevel=4,
         )

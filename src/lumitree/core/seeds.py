@@ -45,7 +45,7 @@ class Purpose(enum.IntEnum):
     # Light that ends on a luminaire; draw 0: which segments, 2: places in cells, step: batch; draw
     # 1: curves.
     ENDING = 22
-    VISIBILITY = 23  # its surfaces in its box; draw 0: rays, step: rays at once; draw 1: curves
+    # 23 belonged to rays through a lamp's own surfaces.
     RECEIVED = 24  # irradiance at points of a scene; step: samples at once
     SURFACES = 25  # radiance of the surfaces of an asset; step: faces at once
     # Illuminance at points of a scene; draw 0: paths, step: pass; draw 1: places in cells of light

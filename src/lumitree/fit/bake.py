@@ -75,8 +75,9 @@ def bake(
         config: settings of the bake. Default: `BakeConfig.standard()`.
         work: folder for the state: empty, new, or that of an earlier call. It is kept. Default:
             `output` with the suffix `.work`, or a temporary folder; it is removed at the end.
-        variant: Mitsuba variant, "llvm_ad_rgb" or, on an NVIDIA GPU, "cuda_ad_rgb", which is little
-            tested. Default: the variant that is set; if none is set, "llvm_ad_rgb".
+        variant: Mitsuba variant: "llvm_ad_rgb"; "cuda_ad_rgb" on an NVIDIA GPU, which is little
+            tested; or "metal_ad_rgb" on Apple silicon, which is untested. Default: the variant that
+            is set; if none is set, "llvm_ad_rgb".
         executor: whose workers trace the light paths of the light field; each loads the luminaire.
             The asset is the same. All other work is done by this process, and by default this too.
         progress: function that is called with a `Progress` after each step. Default: a progress

@@ -27,6 +27,7 @@ from scipy.ndimage import maximum_filter
 
 from lumitree.core.alias_table import alias_row
 from lumitree.core.device import on_device, parameter
+from lumitree.core.mitsuba_meshes import mesh_triangles
 
 # Cells of all surfaces with varying radiance, at most but for one each.
 _CELLS = 1 << 19
@@ -235,6 +236,5 @@ def _areas(shape: mi.Shape) -> NDArray[np.float64]:
     """Areas of the triangles [F] of a mesh; [1] of a primitive."""
     if not isinstance(shape, mi.Mesh):
         return np.array(shape.surface_area(), np.float64).ravel()
-    faces = np.array(shape.faces_buffer()).reshape(-1, 3)
-    corners = np.array(shape.vertex_positions_buffer(), np.float64).reshape(-1, 3)[faces]
+    corners = mesh_triangles(shape)
     return np.linalg.norm(np.cross(*np.moveaxis(corners[:, 1:] - corners[:, :1], 1, 0)), axis=1) / 2

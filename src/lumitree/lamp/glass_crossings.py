@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.device import on_device
 from lumitree.core.frames import rotation
+from lumitree.core.mitsuba_meshes import is_flipped, mesh_arrays
 from lumitree.lamp.meshes import Floats
 
 Indices = NDArray[np.int64]
@@ -109,16 +110,16 @@ class _Mesh:
     @staticmethod
     def of(shape: Any) -> "_Mesh":
         """A mi.Mesh in double precision."""
-        vertices = np.array(shape.vertex_positions_buffer(), np.float64).reshape(-1, 3)
-        faces = np.array(shape.faces_buffer(), np.int64).reshape(-1, 3)
+        arrays = mesh_arrays(shape)
+        vertices, faces = arrays["vertices"].astype(np.float64), arrays["faces"].astype(np.int64)
         a, b, c = (vertices[faces[:, corner]] for corner in range(3))
         normals = np.cross(b - a, c - a)
         normals /= np.maximum(np.sqrt((normals**2) @ np.ones(3)), 1e-300)[:, None]
-        if shape.has_vertex_normals() and not shape.has_face_normals():
-            shading = np.array(shape.vertex_normals_buffer(), np.float64).reshape(-1, 3)
+        if "normals" in arrays:
+            shading = arrays["normals"].astype(np.float64)
             mean = sum(shading[faces[:, corner]] for corner in range(3))
             normals[((normals * mean) @ np.ones(3)) < 0] *= -1
-        return _Mesh(vertices, faces, -normals if shape.has_flipped_normals() else normals)
+        return _Mesh(vertices, faces, -normals if is_flipped(shape) else normals)
 
     def turned(self, frame: Floats) -> "_Mesh":
         """The mesh in coordinates along the columns of `frame`; normals are not changed."""

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.frames import LocalFrame, float32_step
+from lumitree.core.mitsuba_meshes import mesh_vertices
 from lumitree.core.turns import in_turn
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.lamp.builtin.registry import BUILTIN
@@ -200,7 +201,7 @@ def _bounding_radius(scene: Any, frame: LocalFrame) -> float:
     farthest = 0.0
     for shape in scene.shapes():
         if shape.is_mesh():
-            points = np.array(shape.vertex_positions_buffer()).reshape(-1, 3)
+            points = mesh_vertices(shape)
         else:
             low, high = np.ravel(shape.bbox().min), np.ravel(shape.bbox().max)
             points = np.stack(np.meshgrid(*zip(low, high, strict=True)), -1).reshape(-1, 3)

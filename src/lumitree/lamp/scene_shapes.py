@@ -11,6 +11,9 @@ from lumitree.errors import shown
 _UNNAMED = "_arg_"
 # Class of Mitsuba that holds the shapes which instances repeat. `Scene.shapes` leaves it out.
 _GROUP = "ShapeGroupPlugin"
+# Parameters of shapes that stand for a change of their geometry. If vertices change and normals do
+# not, Mitsuba would compute normals of its own.
+_GEOMETRY = ["to_world", "vertex_positions", "vertex_normals", "control_points", "data"]
 # How a shape is chosen, for messages; see `SceneShape.names`.
 CHOSEN_BY = "shape's id, BSDF's id or number"
 
@@ -101,21 +104,44 @@ def shape_of_object(number: int, shape: Any) -> SceneShape:
 
 def reusable_shapes(scene: Any) -> list[Any]:
     """The shapes of a mi.Scene, for another one: also the groups that its instances repeat."""
-    return [*shape_groups(scene), *scene.shapes()]
+    groups = shape_groups(scene)
+    build_again(groups)
+    return [*groups, *scene.shapes()]
 
 
 def shape_groups(scene: Any) -> list[Any]:
     """The groups of shapes that the instances of a mi.Scene repeat."""
+    return [child for child in _children(scene) if child.class_name() == _GROUP]
+
+
+def build_again(groups: Sequence[Any]) -> None:
+    """Let the next scene that is made of groups of shapes build them, although another one has.
+
+    Under OptiX, Mitsuba 3.9 builds a group in the scene that first has it, and again only when its
+    shapes change. Another scene would look in vain for what it has not built.
+    """
+    for group in groups:
+        for shape in _children(group)[:1]:
+            shape.parameters_changed(_GEOMETRY)
+        group.parameters_changed([])
+
+
+def _children(parent: Any) -> list[Any]:
+    """The objects that an object of Mitsuba holds."""
     mi = load_mitsuba()
-    groups = []
+    children = []
 
     class Children(mi.TraversalCallback):
         def put(self, name: str, value: Any, *_: Any) -> None:
-            if isinstance(value, mi.Object) and value.class_name() == _GROUP:
-                groups.append(value)
+            if isinstance(value, mi.Object):
+                children.append(value)
 
-    scene.traverse(Children())
-    return groups
+    parent.traverse(Children())
+    found = children.copy()
+    # Only the garbage collector frees the class. If it held objects, these would be freed while
+    # `dr.dispatch` calls them.
+    children.clear()
+    return found
 
 
 def shapes_of_scene(scene: Any, shapes: Sequence[SceneShape]) -> Sequence[SceneShape]:

@@ -11,11 +11,10 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from lumitree.asset.textures import VERTEX_COLOUR
 from lumitree.core.backend import load_mitsuba, second_thread
-from lumitree.core.device import on_device
 from lumitree.core.files import atomic_path
 from lumitree.core.frames import is_far, similarity
+from lumitree.core.mitsuba_meshes import VERTEX_COLOUR, make_mesh
 from lumitree.core.system import accepts_name
 from lumitree.lamp.conductors import normal_reflectance
 from lumitree.lamp.masked_emission import MaskedEmission
@@ -302,23 +301,15 @@ def _medium(shape: Element, medium: Medium) -> None:
 
 
 def _write_mesh(path: Path, mesh: Mesh) -> None:
-    mi = load_mitsuba()
-    written = mi.Mesh(
-        path.stem,
-        len(mesh.vertices),
-        len(mesh.faces),
-        has_vertex_normals=True,
-        has_vertex_texcoords=mesh.uv is not None,
-    )
-    if mesh.colours is not None:
-        written.add_attribute(VERTEX_COLOUR, 3, on_device(mi.Float, mesh.colours))
-    parameters = mi.traverse(written)
-    parameters["vertex_positions"] = on_device(mi.Float, _rounded(mesh.vertices, 9))
-    parameters["vertex_normals"] = on_device(mi.Float, _rounded(mesh.normals, 6))
-    if mesh.uv is not None:
-        parameters["vertex_texcoords"] = on_device(mi.Float, mesh.uv)
-    parameters["faces"] = on_device(mi.UInt32, mesh.faces)
-    parameters.update()
+    load_mitsuba()
+    arrays = {
+        "vertices": _rounded(mesh.vertices, 9),
+        "faces": mesh.faces,
+        "normals": _rounded(mesh.normals, 6),
+        "texcoords": mesh.uv,
+        "colours": mesh.colours,
+    }
+    written = make_mesh(path.stem, arrays)
     with atomic_path(path) as temporary:
         written.write_ply(str(temporary))
 

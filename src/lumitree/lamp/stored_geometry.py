@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from lumitree.asset.checks import naming
 from lumitree.asset.geometry import ARRAYS, AssetGeometry, check_surface
 from lumitree.asset.materials import MAX_NESTING, check_material, check_radiance
-from lumitree.asset.textures import VERTEX_COLOUR, ImageFacts, Json
+from lumitree.asset.textures import ImageFacts, Json
 from lumitree.core.backend import load_mitsuba, second_thread
+from lumitree.core.mitsuba_meshes import is_flipped, mesh_arrays
 from lumitree.errors import LumitreeError, shown
 from lumitree.lamp.luminaire import Luminaire
 from lumitree.lamp.media import stored_medium
@@ -20,13 +21,6 @@ from lumitree.lamp.meshes import area_normals
 from lumitree.lamp.scene_file import SceneFile
 
 _ANALYTIC = ("sphere", "disk", "cylinder", "rectangle")
-_TRAVERSED = {
-    "vertices": "vertex_positions",
-    "normals": "vertex_normals",
-    "texcoords": "vertex_texcoords",
-    "colours": VERTEX_COLOUR,
-    "faces": "faces",
-}
 # For all copies of instances; an asset has 36 bytes for each.
 _MAX_PRIMITIVES = 20_000_000
 _BITMAP = ("filename", "raw", "filter_type", "wrap_mode", "to_uv")
@@ -82,10 +76,12 @@ class _Reader:
         ):
             with _of_shape(name):
                 description |= _media(shape)
-            # A rectangle is a mesh to Mitsuba, but has no arrays.
-            mesh = _arrays(shape) if shape.is_mesh() else {}
-            if mesh and turned:
-                _turn(mesh)
+            mesh = {}
+            # A rectangle is a mesh to Mitsuba.
+            if shape.is_mesh() and description["type"] not in _ANALYTIC:
+                mesh, description["flipped"] = mesh_arrays(shape), is_flipped(shape)
+                if turned:
+                    _turn(mesh)
             with _of_shape(name):
                 material = self._materials[description["material"]]
                 check_surface(material, description["radiance"], mesh, self._facts)
@@ -232,17 +228,6 @@ def _media(shape: Any) -> Json:
     """Media inside and outside of a shape, by the names of `AssetGeometry`."""
     found = {"interior": shape.interior_medium(), "exterior": shape.exterior_medium()}
     return {side: stored_medium(medium) for side, medium in found.items() if medium is not None}
-
-
-def _arrays(shape: Any) -> dict[str, NDArray[Any]]:
-    """Arrays of a mesh that it has, by the names of `AssetGeometry`."""
-    parameters = load_mitsuba().traverse(shape)
-    found = {}
-    for name, (dtype, width) in ARRAYS.items():
-        values = np.array(parameters.get(_TRAVERSED[name], []), dtype)
-        if values.size:
-            found[name] = values.reshape(-1, width)
-    return found
 
 
 def _turn(mesh: dict[str, NDArray[Any]]) -> None:

@@ -28,7 +28,11 @@ from lumitree.rendering.saved_passes import PassSums, SavedPasses
 
 # Samples a pass, by the backend of Dr.Jit: some seconds of work at most. Progress is shown, and
 # Ctrl-C heeded, between passes; a GPU is idle while a pass is prepared.
-_SAMPLES_PER_PASS = {dr.JitBackend.LLVM: 1 << 19, dr.JitBackend.CUDA: 1 << 23}
+_SAMPLES_PER_PASS = {
+    dr.JitBackend.LLVM: 1 << 19,
+    dr.JitBackend.CUDA: 1 << 23,
+    dr.JitBackend.Metal: 1 << 23,
+}
 # Passes after which noise is known well enough to stop.
 _MIN_PASSES = 8
 # Least time between two images that are shown while they are rendered, s, and the largest part of

@@ -13,6 +13,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.core.mitsuba_meshes import mesh_triangles
 from lumitree.errors import LumitreeWarning
 
 # A little smaller than the box, so that a ceiling or a box that it touches does not count.
@@ -70,8 +71,7 @@ def _in_frame(box: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[
 def _triangles(shape: mi.Shape) -> NDArray[np.float64] | None:
     """Triangles [T, 3, 3] of a mesh or a rectangle; None for other shapes."""
     if isinstance(shape, mi.Mesh):
-        vertices = np.array(shape.vertex_positions_buffer(), np.float64).reshape(-1, 3)
-        return vertices[np.array(shape.faces_buffer()).reshape(-1, 3)]
+        return mesh_triangles(shape)
     if shape.class_name() == "Rectangle":
         matrix = np.array(mi.traverse(shape)["to_world"].matrix, np.float64).reshape(4, 4)
         corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) @ matrix[:3, :2].T + matrix[:3, 3]

@@ -1,9 +1,8 @@
 """Segments of light paths that end on the luminaire: the light that does not leave its box.
 
-A segment goes straight from one vertex of a light path to the next. The last segments of paths
-that leave the luminaire are its exitant light; all others end on it. Null surfaces, which let light
-pass straight, do not divide a segment. But where a path leaves the luminaire through them, its
-exitant light begins at the last of them, so the segment before ends there.
+A segment goes from one vertex of a light path to the next. The last segments of paths that leave
+the luminaire are its exitant light; all others end on it. Null interactions, which let light pass
+as it is, are no vertices: they neither end a segment nor begin one.
 
 A trace keeps one ending segment of each path. It is chosen with a probability in proportion to its
 luminance, by reservoir sampling, and stands for all of the path's.
@@ -44,6 +43,7 @@ class EndingSegments:
 
     Attributes:
         origin: mi.Point3f, where each begins, local frame.
+        straight: mi.Bool, whether it begins at the emitter.
         direction: mi.Vector3f, direction of travel, local frame.
         flux: mi.Color3f, local units; the sum over the segments of a trace is an estimate of the
             flux of all ending segments of the luminaire's light.
@@ -51,6 +51,7 @@ class EndingSegments:
     """
 
     origin: Any
+    straight: Any
     direction: Any
     flux: Any
     reach: Any
@@ -64,11 +65,12 @@ class Reservoir:
         random: mi.PCG32.
         to_local: mi.Transform4f from the scene frame.
         side: mi.Float, cells of the grid a side.
-        begin: mi.Point3f, where the present segment begins, scene frame.
         total: mi.Float, W.
-        whole: mi.Float, W without a limit of the flux.
+        bent, unlimited: mi.Float, the part of W that is not straight, and this part without a limit
+            of the flux.
         luminance: mi.Float, w.
-        origin, end: mi.Point3f, of the segment that is kept, local frame.
+        straight: mi.Bool, of the segment that is kept.
+        origin, end: mi.Point3f, of this segment, local frame.
         direction: mi.Vector3f of travel, scene frame.
         flux: mi.Color3f.
     """
@@ -76,35 +78,38 @@ class Reservoir:
     random: Any
     to_local: Any
     side: Any
-    begin: Any
     total: Any
-    whole: Any
+    bent: Any
+    unlimited: Any
     luminance: Any
+    straight: Any
     origin: Any
     end: Any
     direction: Any
     flux: Any
 
-    def start(self, origin: Any, active: Any) -> None:
-        """Paths begin a segment at `origin` (mi.Point3f, scene frame)."""
-        self.begin = dr.select(active, origin, self.begin)
-
-    def stop(self, end: Any, direction: Any, flux: Any, active: Any, cut: Any) -> None:
+    def add(
+        self, begin: Any, end: Any, direction: Any, flux: Any, cut: Any, straight: Any, active: Any
+    ) -> None:
         """Paths end a segment: replace the one that is kept with probability w / W.
 
         Args:
-            end: mi.Point3f, scene frame.
+            begin, end: mi.Point3f, scene frame.
             direction: mi.Vector3f of travel, scene frame.
             flux: mi.Color3f of the segment.
             cut: mi.Float, flux without a limit over `flux`, see `trace_light`.
+            straight: mi.Bool, whether the segment begins at the emitter.
         """
-        origin, end = self.to_local @ self.begin, self.to_local @ end
+        origin, end = self.to_local @ begin, self.to_local @ end
         leaves_cell = dr.any(grid_cell(origin, self.side) != grid_cell(end, self.side))
         luminance = dr.select(active & leaves_cell, dr.dot(flux, mi.Color3f(LUMA)), 0)
         self.total += luminance
-        self.whole += luminance * cut
+        bent = dr.select(straight, 0, luminance)
+        self.bent += bent
+        self.unlimited += bent * cut
         replaces = self.random.next_float32() * self.total < luminance
         self.luminance = dr.select(replaces, luminance, self.luminance)
+        self.straight = dr.select(replaces, straight, self.straight)
         self.origin = dr.select(replaces, origin, self.origin)
         self.end = dr.select(replaces, end, self.end)
         self.direction = dr.select(replaces, direction, self.direction)
@@ -113,9 +118,10 @@ class Reservoir:
     def segments(self, scale: Any) -> EndingSegments:
         """One segment of each path that has any; their flux is multiplied by `scale`.
 
-        Flux cut off by a limit is given to all of them.
+        Flux cut off by a limit is given to all that are not straight.
         """
-        scale = scale * restoring_factor(self.whole, self.total)
+        factor = restoring_factor(self.unlimited, self.bent)
+        scale = dr.select(self.straight, scale, scale * factor)
         kept = dr.select(self.luminance > 0, self.flux * (self.total / self.luminance) * scale, 0)
         dr.eval(self.origin, self.end, self.direction, kept)
         # Dr.Jit does not combine an empty array with others, so one without flux is returned.
@@ -126,6 +132,7 @@ class Reservoir:
         direction = self.to_local @ dr.gather(mi.Vector3f, self.direction, chosen)
         segments = EndingSegments(
             origin,
+            dr.gather(mi.Bool, self.straight, chosen),
             dr.select(dr.norm(direction) > 0, dr.normalize(direction), mi.Vector3f(0, 0, 1)),
             dr.gather(mi.Color3f, kept, chosen),
             dr.norm(dr.gather(mi.Point3f, self.end, chosen) - origin),
@@ -157,10 +164,11 @@ def make_reservoir(config: EndingConfig, frame: LocalFrame, count: int) -> Reser
         random=mi.PCG32(count, initstate=dr.opaque(mi.UInt64, config.seed)),
         to_local=to_local,
         side=side,
-        begin=dr.zeros(mi.Point3f, count),
         total=dr.zeros(mi.Float, count),
-        whole=dr.zeros(mi.Float, count),
+        bent=dr.zeros(mi.Float, count),
+        unlimited=dr.zeros(mi.Float, count),
         luminance=dr.zeros(mi.Float, count),
+        straight=dr.full(mi.Bool, False, count),
         origin=dr.zeros(mi.Point3f, count),
         end=dr.zeros(mi.Point3f, count),
         direction=dr.zeros(mi.Vector3f, count),

@@ -32,26 +32,41 @@ class BinnedRays:
     Attributes:
         codes: [N] `cell_codes` of their cells.
         bins: [N] octahedral bins of their directions.
+        straight: [N] whether each is straight light.
         flux: [3, N].
     """
 
     codes: NDArray[np.uint32]
     bins: NDArray[np.uint16]
+    straight: NDArray[np.bool_]
     flux: NDArray[np.floating]
+
+    def of_straight_light(self) -> "BinnedRays":
+        """The rays that are straight light."""
+        at = self.straight
+        return BinnedRays(self.codes[at], self.bins[at], at[at], self.flux[:, at])
 
 
 def bin_rays(
-    origin: Any, direction: Any, flux: NDArray[np.floating], depth: int, resolution: int
+    origin: Any,
+    direction: Any,
+    straight: Any,
+    flux: NDArray[np.floating],
+    depth: int,
+    resolution: int,
 ) -> BinnedRays:
-    """Rays (mi.Point3f, mi.Vector3f, [3, N]) in a grid of 2**depth cells a side."""
-    return _binned(origin, bin_of(direction, resolution), flux, depth)
+    """Rays (mi.Point3f, mi.Vector3f, mi.Bool, [3, N]) in a grid of 2**depth cells a side."""
+    return _binned(origin, bin_of(direction, resolution), straight, flux, depth)
 
 
-def _binned(origin: Any, bins: Any, flux: NDArray[np.floating], depth: int) -> BinnedRays:
+def _binned(
+    origin: Any, bins: Any, straight: Any, flux: NDArray[np.floating], depth: int
+) -> BinnedRays:
     side = 1 << depth
     cell = grid_cell(origin, side)
     code = (cell.z * side + cell.y) * side + cell.x
-    return BinnedRays(np.array(code, np.uint32), np.array(bins, np.uint16), flux)
+    every = np.broadcast_to(np.array(straight, bool), flux.shape[1:])
+    return BinnedRays(np.array(code, np.uint32), np.array(bins, np.uint16), every, flux)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,6 +80,10 @@ class BinnedSegments:
 
     rays: BinnedRays
     steps: NDArray[np.uint8]
+
+    def of_straight_light(self) -> "BinnedSegments":
+        """The segments that are straight light."""
+        return BinnedSegments(self.rays.of_straight_light(), self.steps[self.rays.straight])
 
 
 def bin_segments(
@@ -86,7 +105,7 @@ def bin_segments(
         distances_passed(segments.reach + dr.dot(moved, segments.direction), distances)
     )
     bins = coarse_bin(bin_of(segments.direction, 2 * resolution), 2 * resolution)
-    rays = _binned(segments.origin, bins, flux, depth)
+    rays = _binned(segments.origin, bins, segments.straight, flux, depth)
     return BinnedSegments(rays, np.minimum(steps, len(distances) - 2).astype(np.uint8))
 
 
@@ -154,6 +173,18 @@ class _Light:
         """[C, R², 3] flux of the bins of each cell."""
         return self._flux.values
 
+    def flux_without(self, part: "_Light") -> NDArray[np.float64]:
+        """`flux` less the flux of a part of the same rays."""
+        return self._without(part, self.flux, part.flux)
+
+    def _without(self, part: "_Light", whole: NDArray[Any], taken: NDArray[Any]) -> NDArray[Any]:
+        """Values [C, ..] less values of the cells of a part."""
+        rest = whole.copy()
+        rows = self._occupied.rows(cell_codes(part.cells, self._depth))
+        # Sums are rounded.
+        rest[rows] = np.maximum(rest[rows] - taken, 0)
+        return rest
+
     def _places(self, rays: BinnedRays) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """The flux of all bins, [C R², 3]; and of rays, their place in it, [N]."""
         rows = self._occupied.rows(rays.codes)
@@ -166,7 +197,7 @@ class Histogram(_Light):
 
     def add(self, origin: Any, direction: Any, flux: NDArray[np.float64]) -> None:
         """Add rays (mi.Point3f, mi.Vector3f, [3, N]) that start inside the grid."""
-        self.add_binned(bin_rays(origin, direction, flux, self._depth, self._resolution))
+        self.add_binned(bin_rays(origin, direction, False, flux, self._depth, self._resolution))
 
     def add_binned(self, rays: BinnedRays) -> None:
         """Add rays of `bin_rays` with the same grid and bins."""
@@ -192,6 +223,10 @@ class EndingHistogram(_Light):
     def by_reach(self) -> NDArray[np.float32]:
         """[C, Q², K - 1] luminance of the segments that end between two distances."""
         return self._by_reach.values
+
+    def by_reach_without(self, part: "EndingHistogram") -> NDArray[np.float32]:
+        """`by_reach` less the luminance of a part of the same segments."""
+        return self._without(part, self.by_reach, part.by_reach)
 
     def add_binned(self, segments: BinnedSegments) -> None:
         """Add segments of `bin_segments` with the same grid, bins and distances."""

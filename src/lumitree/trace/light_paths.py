@@ -7,6 +7,8 @@ default: camera rays that are followed straight through find it without noise
 
 Symbols
     flux                of a path: radiance times the measure dA cos θ dω, local frame
+    straight            all events since the emitter were null interactions: masks and thin glass
+                        that the light passed, media that did not scatter it
     termination point   where the field should stop a camera ray that meets the path in
                         reverse, see `termination_point`
     ρ                   as in `lumitree.trace.medium_paths`
@@ -38,14 +40,22 @@ _ROULETTE_DEPTH = 8
 
 @dataclasses.dataclass
 class LightPaths(RayBatch):
-    """Light paths that have left the luminaire; each ray starts at the last vertex of its path.
+    """Light paths that have left the luminaire.
+
+    Each ray starts at the last vertex of its path that is not a null interaction, so straight light
+    starts at the emitter. The flux is that of the light that leaves: a receiver between an emitter
+    and a tinted pane gets the light that leaves the pane.
 
     Attributes:
+        straight: mi.Bool, whether the light of each ray is straight.
+        exit: mi.Point3f, where each ray leaves its last surface, null ones too; local frame.
         termination: mi.Point3f, termination point, local frame.
         ending: segments of all paths, also of absorbed ones, that end on the luminaire; None if
             they were not asked for.
     """
 
+    straight: Any
+    exit: Any
     termination: Any
     ending: EndingSegments | None = None
 
@@ -71,20 +81,23 @@ def trace_light(
         path_depth: longest path, events.
         all_light: also return paths that leave by smooth transmission alone.
         ending: also return segments that end on the luminaire. The paths are the same with it.
-        largest_gain: limit of the flux of a path over that with which it starts. What is above it
-            is given to all paths, and to all ending segments, in proportion to their flux: sums
-            over the trace stay unbiased, their distribution has the bias of what was moved, 0.1 to
-            0.2 % of the flux for a limit of 8. Default: none, and no bias.
+        largest_gain: limit of the flux of a path over that with which it starts. Straight paths
+            have none: only the choice of a channel in a medium makes them gain, by up to 3. The
+            flux above the limit is given to all paths, and to all ending segments, that are not
+            straight, in proportion to their flux: sums over the trace stay unbiased, their
+            distribution has the bias of what was moved, 0.1 to 0.2 % of the flux for a limit of 8.
+            Default: none, and no bias.
     """
     reservoir = None if ending is None else make_reservoir(ending, luminaire.scene_frame, count)
-    origin, direction, flux, cut, termination, leaves, smooth, reservoir = _trace(
+    ray, vertex, flux, cut, straight, termination, leaves, smooth, reservoir = _trace(
         luminaire, sampler, path_depth, reservoir, largest_gain
     )
     # All at once: a sum of one of them would trace the paths for it alone.
-    dr.eval(origin, direction, flux, cut, termination, leaves, smooth, reservoir)
+    dr.eval(ray, vertex, flux, cut, straight, termination, leaves, smooth, reservoir)
     if largest_gain is not None:
-        left = dr.select(leaves, flux, 0)
-        flux *= mi.Color3f([restoring_factor(channel * cut, channel) for channel in left])
+        bent = dr.select(leaves & ~straight, flux, 0)
+        factor = mi.Color3f([restoring_factor(channel * cut, channel) for channel in bent])
+        flux = dr.select(straight, flux, flux * factor)
     if not all_light:
         leaves &= ~smooth
     chosen = dr.compress(leaves)
@@ -95,13 +108,16 @@ def trace_light(
     dr.make_opaque(to_local)
     scale = dr.opaque(mi.Float, 1 / (count * luminaire.frame.scale**2))
     paths = LightPaths(
-        to_local @ dr.gather(mi.Point3f, origin, chosen),
-        dr.normalize(to_local @ dr.gather(mi.Vector3f, direction, chosen)),
+        to_local @ dr.gather(mi.Point3f, vertex, chosen),
+        dr.normalize(to_local @ dr.gather(mi.Vector3f, ray.d, chosen)),
         dr.gather(mi.Color3f, flux, chosen) * scale,
+        dr.gather(mi.Bool, straight, chosen),
+        to_local @ dr.gather(mi.Point3f, ray.o, chosen),
         to_local @ dr.gather(mi.Point3f, termination, chosen),
         None if reservoir is None else reservoir.segments(scale),
     )
-    dr.eval(paths.origin, paths.direction, paths.flux, paths.termination)
+    rays = paths.origin, paths.direction, paths.flux, paths.straight, paths.exit
+    dr.eval(rays, paths.termination)
     return paths
 
 
@@ -142,6 +158,8 @@ def _trace(luminaire, sampler, path_depth, reservoir, largest_gain):
     flux = mi.Color3f(light)
     # Flux without a limit over flux with it.
     cut = mi.Float(1)
+    # The last vertex that is not a null interaction.
+    vertex, straight = mi.Point3f(ray.o), mi.Bool(True)
     # Where the last chain of transmissions began, and its direction there.
     start, start_direction = mi.Point3f(ray.o), mi.Vector3f(ray.d)
     smooth = mi.Bool(True)
@@ -152,12 +170,9 @@ def _trace(luminaire, sampler, path_depth, reservoir, largest_gain):
     depth = mi.UInt32(0)
     leaves = mi.Bool(False)
     active = dr.max(flux) > 0
-    if dr.hint(reservoir is not None, mode="scalar"):
-        reservoir.start(ray.o, active)
     while active:
         si = scene.ray_intersect(ray, active)
-        misses = active & ~si.is_valid()
-        leaves |= misses
+        leaves |= active & ~si.is_valid()
         active &= si.is_valid()
 
         arriving = mi.Color3f(flux)
@@ -176,9 +191,8 @@ def _trace(luminaire, sampler, path_depth, reservoir, largest_gain):
         passes = hits & mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)
         passes &= dr.max(bsdf_weight) > 0
         if dr.hint(reservoir is not None, mode="scalar"):
-            # What leaves behind null surfaces begins at the last of them.
-            end = dr.select(misses, ray.o, dr.select(collides, ray(free_flight), si.p))
-            reservoir.stop(end, ray.d, arriving, (misses | active) & ~passes, cut)
+            end = dr.select(collides, ray(free_flight), si.p)
+            reservoir.add(vertex, end, ray.d, arriving, cut, straight, active & ~passes)
         correction, scatters = _shading_correction(si, bsdf, sample, ray.d, towards)
         hits &= scatters
         flux = dr.select(
@@ -194,14 +208,15 @@ def _trace(luminaire, sampler, path_depth, reservoir, largest_gain):
         begins = collides | (hits & ~transmits)
         start = dr.select(begins, ray.o, start)
         start_direction = dr.select(begins, ray.d, start_direction)
-        if dr.hint(reservoir is not None, mode="scalar"):
-            reservoir.start(ray.o, active & ~passes)
+        vertex = dr.select(active & ~passes, ray.o, vertex)
+        straight &= ~active | passes
         medium = medium_paths.medium_after(si, ray.d, medium, transmits)
         depth += 1
         active = (collides | hits) & (depth < path_depth) & (dr.max(flux) > 0)
         gain = dr.max(flux) / dr.max(light)
         if dr.hint(largest_gain is not None, mode="scalar"):
-            above = dr.select(active, dr.maximum(gain / largest_gain, 1), 1)
+            limited = active & ~straight
+            above = dr.select(limited, dr.maximum(gain / largest_gain, 1), 1)
             flux, cut, gain = flux / above, cut * above, gain / above
         # Paths that lose nothing are not ended: many survivals of less than 1 would be a gain.
         survival = dr.clip(gain, 0.05, 1)
@@ -212,7 +227,7 @@ def _trace(luminaire, sampler, path_depth, reservoir, largest_gain):
     deflected = dr.dot(ray.d, start_direction) < COSINE_OF_CONE
     at_first = sampler.next_1d() < 0.5
     termination = termination_point(box, from_viewer(ray.d), ray.o, start, deflected & at_first)
-    return ray.o, ray.d, flux, cut, termination, leaves, smooth, reservoir
+    return ray, vertex, flux, cut, straight, termination, leaves, smooth, reservoir
 
 
 def emit(surfaces, sampler, extent):

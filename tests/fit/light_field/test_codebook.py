@@ -1,4 +1,4 @@
-"""Codebooks of curves: what they keep, and how near they are."""
+"""Codebooks of reach: what they keep, and how near they are."""
 
 import numpy as np
 import pytest
@@ -7,67 +7,69 @@ from lumitree.fit.light_field.codebook import codebook
 
 
 def entries(seed, count, kinds):
-    """Numerators and denominators [count, 6] whose ratios are some of a few curves."""
+    """Light [count, 6] beyond distances, whose ratios are some of a few curves."""
     random = np.random.default_rng(seed)
-    curves = random.uniform(0, 4, (kinds, 6))
-    d = (random.exponential(1, (count, 1)) * random.uniform(0.5, 1, (count, 6))).astype(np.float32)
-    kind = random.integers(kinds, size=count)
-    return (curves[kind] * d).astype(np.float32), d
+    curves = -np.sort(-random.random((kinds, 6)), axis=1)
+    curves[:, 0] = 1
+    light = random.exponential(1, (count, 1))
+    return (curves[random.integers(kinds, size=count)] * light).astype(np.float32)
 
 
 def test_a_few_curves_are_found(mi):
-    n, d = entries(0, 5000, 9)
-    rows, curves = codebook(n, d, 256, 8.0, 0)
-    assert n / d == pytest.approx(curves[rows], rel=1e-4)
+    beyond = entries(0, 5000, 9)
+    rows, curves = codebook(beyond, 256, 0)
+    assert beyond / beyond[:, :1] == pytest.approx(curves[rows], rel=1e-4)
 
 
 @pytest.mark.parametrize("count", [500, 40_000])
 def test_light_is_kept_by_curve_and_point(count):
-    random = np.random.default_rng(1)
-    d = random.exponential(1, (count, 6)).astype(np.float32)
-    n = (d * random.uniform(0, 3, (count, 6))).astype(np.float32)
-    rows, curves = codebook(n, d, 32, 8.0, 0)
+    beyond = entries(1, count, count)
+    rows, curves = codebook(beyond, 32, 0)
     assert len(curves) <= 32
     for row in range(len(curves)):
-        mine = rows == row
-        assert mine.any()
-        assert (curves[row] * d[mine]).sum(axis=0) == pytest.approx(n[mine].sum(axis=0), rel=1e-4)
+        mine = beyond[rows == row]
+        assert len(mine)
+        kept = curves[row] * mine[:, 0].sum(dtype=np.float64)
+        assert kept == pytest.approx(mine.sum(axis=0, dtype=np.float64), rel=1e-4)
     # The most frequent is the first, so that bytes repeat.
     assert (np.diff(np.bincount(rows)) <= 0).all()
 
 
 def test_more_curves_are_nearer():
-    random = np.random.default_rng(2)
-    d = np.ones((4000, 6), np.float32)
-    n = np.sort(random.random((4000, 6)), axis=1).astype(np.float32)
+    beyond = entries(2, 4000, 4000)
+    part = beyond / beyond[:, :1]
     errors = []
     for count in (4, 32, 256):
-        rows, curves = codebook(n, d, count, 1.0, 0)
-        errors.append(((n - curves[rows]) ** 2).mean())
+        rows, curves = codebook(beyond, count, 0)
+        errors.append((beyond[:, :1] * (part - curves[rows]) ** 2).mean())
     assert errors[1] < 0.5 * errors[0]
     assert errors[2] < 0.5 * errors[1]
 
 
-def test_ratios_are_cut_and_points_without_weight_hold():
-    n = np.array([[1, 9, 0, 0], [1, 9, 0, 0]], np.float32)
-    d = np.array([[1, 1, 0, 0], [1, 1, 0, 0]], np.float32)
-    rows, curves = codebook(n, d, 4, 8.0, 0)
-    assert curves[rows[0]].tolist() == [1, 8, 8, 8]
-    # Light that no denominator can weigh gets the largest.
-    _, curves = codebook(n, np.zeros_like(d), 4, 8.0, 0)
-    assert curves.tolist() == [[8, 8, 8, 8]]
-    _, curves = codebook(np.zeros_like(n), np.zeros_like(d), 4, 8.0, 0)
-    assert curves.tolist() == [[1, 1, 1, 1]]
+def test_curves_do_not_increase():
+    _, curves = codebook(entries(4, 5000, 5000), 256, 0)
+    assert (curves[:, 0] == 1).all()
+    assert (np.diff(curves, axis=1) <= 0).all()
 
 
-def test_no_entries():
-    rows, curves = codebook(np.zeros((0, 4), np.float32), np.zeros((0, 4), np.float32), 8, 8.0, 0)
-    assert rows.shape == (0,)
-    assert curves.tolist() == [[1, 1, 1, 1]]
+def test_entries_without_light_get_a_curve_and_change_none():
+    beyond = entries(5, 300, 300)
+    dark = np.concatenate([np.zeros((7, 6), np.float32), beyond])
+    rows, curves = codebook(dark, 16, 0)
+    expected = codebook(beyond, 16, 0)
+    assert np.array_equal(rows[7:], expected[0])
+    assert np.array_equal(curves, expected[1])
+
+
+@pytest.mark.parametrize("count", [0, 3])
+def test_no_light(count):
+    rows, curves = codebook(np.zeros((count, 4), np.float32), 8, 0)
+    assert rows.tolist() == [0] * count
+    assert curves.tolist() == [[1, 0, 0, 0]]
 
 
 def test_equal_arguments_give_equal_curves():
-    n, d = entries(3, 30_000, 600)
-    first, second = (codebook(n, d, 64, 8.0, 5) for _ in range(2))
+    beyond = entries(3, 30_000, 600)
+    first, second = (codebook(beyond, 64, 5) for _ in range(2))
     assert np.array_equal(first[0], second[0])
     assert np.array_equal(first[1], second[1])

@@ -8,6 +8,7 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from lumitree.core.device import on_device
+from lumitree.core.mitsuba_meshes import make_mesh
 from lumitree.lamp.builtin.registry import BUILTIN
 from lumitree.lamp.meshes import join, moved
 from lumitree.lamp.parts import Geometry, Glass, Part
@@ -41,11 +42,7 @@ def standing(parts):
 
 
 def load(mi, mesh):
-    shape = mi.Mesh("mesh", len(mesh.vertices), len(mesh.faces))
-    parameters = mi.traverse(shape)
-    parameters["vertex_positions"] = on_device(mi.Float, mesh.vertices)
-    parameters["faces"] = on_device(mi.UInt32, mesh.faces)
-    parameters.update()
+    shape = make_mesh("mesh", {"vertices": mesh.vertices, "faces": mesh.faces})
     return mi.load_dict({"type": "scene", "mesh": shape})
 
 

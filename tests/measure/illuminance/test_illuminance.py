@@ -558,3 +558,28 @@ def test_light_of_surfaces_is_attenuated_by_the_medium_of_receivers(mi):
     bound = np.exp(-0.7) * clear.total
     assert result.direct == pytest.approx(np.exp(-0.7) * clear.direct, rel=0.03)
     assert 0.85 * bound < result.total < 1.03 * bound
+
+
+@pytest.mark.slow
+def test_a_lamp_with_points_in_its_box_does_not_change_another_one(mi):
+    """Two lamps of one asset, or of equal ones; a table touches the box of the second."""
+    half = 0.5 * BOX[1] / BOX.max()
+    up = mi.ScalarTransform4f().translate([3, 0.9 - half * (1 - 1e-4), 0]).rotate([1, 0, 0], -90)
+    table = {"type": "rectangle", "to_world": up.scale(0.3)}
+    points = [[0.02, 0.9, 0.03], *([3 + x, 0.9 + half, 0.6] for x in (-0.3, 0, 0.3))]
+    first, other = lamp(), lamp()
+    found = [
+        lumitree.illuminance(
+            room(mi, table=table),
+            [
+                lumitree.Placement(source, at=place, size=1.0)
+                for source, place in ((first, (0, 0.9, 0)), (second, (3, 0.9, 0)))
+            ],
+            **at(*points, normal=(0, -1, 0)),
+            error=EVERYTHING,
+            seed=1,
+        )
+        for second in (first, other)
+    ]
+    assert (found[0].total > found[0].direct).any()
+    assert found[0].total == pytest.approx(found[1].total, rel=1e-3)

@@ -2,6 +2,5 @@
 
 `grid` chooses the side of its cells. `bake` makes it, a histogram that states what it was estimated
 from (`TracedPaths`). `inside` makes the light inside the lamp's box of the light that ends on the
-luminaire, `visibility` traces how much the luminaire's own surfaces leave free, and `codebook`
-stores curves over distance by their number.
+luminaire, and `codebook` stores curves over distance by their number.
 """

@@ -1,6 +1,7 @@
-"""A histogram of light paths by the cell of their last vertex and by direction.
+"""A histogram of light paths by the cell where their rays start and by direction.
 
-Light that ends on the luminaire is counted too, by its reach (`inside`).
+Light that ends on the luminaire is counted too, by its reach (`inside`), and of both the straight
+light on its own.
 """
 
 import dataclasses
@@ -15,9 +16,8 @@ from lumitree.core.photometry import luminance
 from lumitree.core.progress import progress
 from lumitree.fit.light_field.batches import num_batches, path_batches
 from lumitree.fit.light_field.grid import grid_depth
-from lumitree.fit.light_field.inside import DISTANCES, make_entries
+from lumitree.fit.light_field.inside import DISTANCES, light_inside
 from lumitree.fit.light_field.saved_field import SavedLightField
-from lumitree.fit.light_field.visibility import unoccluded
 from lumitree.lamp.luminaire import Luminaire
 from lumitree.lamp.sent import LampWorkers
 from lumitree.trace.histograms import BinnedRays, EndingHistogram, Histogram
@@ -49,8 +49,10 @@ def bake_light_field(
     if (field := saved.load()) is not None:
         return field
     depth = grid_depth(luminaire) if config.depth is None else config.depth
-    histogram = Histogram(depth, config.resolution)
-    ending = EndingHistogram(depth, config.resolution // 2, len(DISTANCES))
+    leaving, straight = (Histogram(depth, config.resolution) for _ in range(2))
+    ending, straight_ending = (
+        EndingHistogram(depth, config.resolution // 2, len(DISTANCES)) for _ in range(2)
+    )
     batches = num_batches(config)
     by_direction = []
     with (
@@ -58,10 +60,13 @@ def bake_light_field(
         path_batches(luminaire, config, depth, workers) as traced_batches,
     ):
         for batch in traced_batches:
-            rays, ends = batch.leaving, batch.ending
-            histogram.add_binned(_divided(rays, batches))
-            ending.add_binned(dataclasses.replace(ends, rays=_divided(ends.rays, batches)))
-            flux = luminance(rays.flux.astype(np.float64).T)
+            rays, ends = _divided(batch.leaving, batches), batch.ending
+            ends = dataclasses.replace(ends, rays=_divided(ends.rays, batches))
+            leaving.add_binned(rays)
+            straight.add_binned(rays.of_straight_light())
+            ending.add_binned(ends)
+            straight_ending.add_binned(ends.of_straight_light())
+            flux = luminance(batch.leaving.flux.astype(np.float64).T)
             by_direction.append(np.bincount(rays.bins, flux, config.resolution**2))
             advance(1)
     check_output(luminaire, np.sum(by_direction, axis=1), config.seed)
@@ -71,11 +76,11 @@ def bake_light_field(
         luminaire=luminaire.fingerprint,
         noise=relative_noise(np.array(by_direction) / own_solid_angles(config.resolution)),
     )
-    intensity = intensity_of_histogram(histogram.flux)
-    field = make_light_field(histogram.cells, intensity, depth, traced)
-    entries = make_entries(field, ending.cells, ending.flux, ending.by_reach)
-    free, other = unoccluded(luminaire, entries, config.seed)
-    inside = entries.encoded(free, other, config.seed)
+    flux, bent = leaving.flux, leaving.flux_without(straight)
+    intensity = intensity_of_histogram(flux)
+    bent = intensity * np.divide(bent, flux, out=bent, where=flux > 0)
+    field = make_light_field(leaving.cells, intensity, depth, traced, bent=bent)
+    inside = light_inside(field, ending, straight_ending, config.seed)
     field = dataclasses.replace(field, inside=inside)
     saved.save(field)
     return field

@@ -66,7 +66,7 @@ def _traced(rays: LampRays, config: LightFieldFitConfig, depth: int, step: int) 
     flux, ends = (as_rows(each.flux).T.astype(np.float32) for each in (paths, paths.ending))
     places = SeedStream(Purpose.ENDING, step, 2).seed(config.seed)
     return PathBatch(
-        bin_rays(paths.origin, paths.direction, flux, depth, config.resolution),
+        bin_rays(paths.origin, paths.direction, paths.straight, flux, depth, config.resolution),
         bin_segments(paths.ending, ends, depth, config.resolution // 2, DISTANCES, places),
     )
 

@@ -79,9 +79,9 @@ class TracedRays:
         share = dr.opaque(mi.Float, 1 / num_rays)
         # The measure of the wanted rays is that part of all.
         scale = dr.opaque(mi.Float, count / (num_rays * self.measure))
-        num_paths = dr.width(paths.origin)
+        num_paths = dr.width(paths.exit)
         rays = Rays(
-            _join(origin, paths.origin),
+            _join(origin, paths.exit),
             _join(direction, from_viewer(paths.direction)),
             dr.concat([share * dr.ones(mi.Float, num_rays), dr.zeros(mi.Float, num_paths)]),
             _join(seen * share, paths.flux * scale),

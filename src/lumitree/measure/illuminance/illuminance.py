@@ -208,10 +208,10 @@ def illuminance(
             placed = open_placements(placements, metres)
             _warn_of_glass(placed)
             whole = place_luminaires(room, placed, appearance="geometry")
-            paths = _paths(whole, scene_title(scene))
             place = np.concatenate([area.points for area in areas])
             normal = np.concatenate([area.normals for area in areas])
-            _light_boxes(paths, place)
+            _light_boxes(whole, place)
+            paths = _paths(whole, scene_title(scene))
         with watch.stage("estimate"):
             found = estimate(
                 paths,
@@ -298,21 +298,16 @@ def _paths(scene: Any, title: str) -> "PathScene":
     return PathScene(scene, DividedScene().of(scene), media(scene))
 
 
-def _light_boxes(paths: "PathScene", points: NDArray[np.float64]) -> None:
+def _light_boxes(scene: Any, points: NDArray[np.float64]) -> None:
     """Let the lamps in whose boxes there are points light what is inside."""
     from lumitree.rendering.plugins.deferred_emitter import DeferredEmitter
-    from lumitree.rendering.plugins.proxies import DividedScene
 
-    asked = False
-    for emitter in paths.whole.emitters():
+    for emitter in scene.emitters():
         if isinstance(emitter, DeferredEmitter):
             box = np.linalg.inv(emitter.placed.scene_from_box)
             local = points @ box[:3, :3].T + box[:3, 3]
             if (np.abs(local) <= 1.01).all(axis=1).any():
                 emitter.light_inside()
-                asked = True
-    if asked:
-        paths.divided = DividedScene().of(paths.whole)
 
 
 def _parts(areas: Sequence[Receivers]) -> list[slice]:

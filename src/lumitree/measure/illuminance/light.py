@@ -21,6 +21,7 @@ from lumitree.rendering.plugins.path_scene import PathScene
 from lumitree.rendering.plugins.path_state import PathState
 from lumitree.rendering.plugins.proxies import NONE
 from lumitree.rendering.plugins.shadow_rays import visible
+from lumitree.rendering.sampling.emitter_sampling import OUTSIDE
 from lumitree.trace import medium_paths
 from lumitree.trace.spawning import spawn
 
@@ -34,6 +35,7 @@ class EmitterLight:
     unshadowed: mi.Spectrum  # Irradiance if nothing is in between
     through: mi.Spectrum     # Transmittance of what is in between
     found: mi.Bool           # Whether there is any light
+    stored: mi.Bool          # Whether it is of a light field, for a receiver outside the box
     # fmt: on
 
 
@@ -85,7 +87,8 @@ def emitter_light(
     selected = scene.selection.sample(si, mi.Vector3f(si.n), mi.UInt32(NONE), sampler, active)
     active &= selected.weight > 0
     emitter = scene.emitter(selected.index, active)
-    sampled = dr.dispatch(emitter, sample_target, si, selected.sample, active)
+    own = mi.Bool(False)
+    sampled = dr.dispatch(emitter, sample_target, si, selected.sample, own, active)
     ds = sampled.ds
     cosine = dr.maximum(dr.dot(si.n, ds.d), 0)
     found = active & sampled.valid & (cosine > 0)
@@ -94,7 +97,7 @@ def emitter_light(
         emitter, eval_target, si, sampled, cosine * bsdf_pdf, selected.emitter_pmf, found
     )
     light = dr.select(found, weight * (cosine * selected.weight), 0)
-    return EmitterLight(emitter, light, through, found)
+    return EmitterLight(emitter, light, through, found, sampled.target.place == OUTSIDE)
 
 
 def behind_surfaces(scene: PathScene, si: mi.SurfaceInteraction3f, sampler: mi.Sampler) -> mi.Bool:
@@ -108,7 +111,7 @@ def behind_surfaces(scene: PathScene, si: mi.SurfaceInteraction3f, sampler: mi.S
 
 def summed_part(scene: PathScene, si: mi.SurfaceInteraction3f, light: EmitterLight) -> mi.Bool:
     """Whether the emitter's irradiance is known without sampling directions."""
-    return dr.dispatch(light.emitter, is_summed, si.p, light.found)
+    return light.stored & dr.dispatch(light.emitter, is_summed, si.p, light.found)
 
 
 def reflected_light(

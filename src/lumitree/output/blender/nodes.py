@@ -2,7 +2,8 @@
 
 from typing import Any
 
-from lumitree.asset.textures import VERTEX_COLOUR, Json
+from lumitree.asset.textures import Json
+from lumitree.core.mitsuba_meshes import VERTEX_COLOUR
 
 # Shows emission to camera rays and to mirror images of them only. The script names the node, so
 # that it can be found.

@@ -24,7 +24,8 @@ from lumitree.asset.field_bytes import (
     coefficient_codes,
     density_codes,
 )
-from lumitree.asset.light_field import LightField, unpack
+from lumitree.asset.light_field import LightField
+from lumitree.asset.packed_colours import unpack
 from lumitree.core.photometry import luminance
 from lumitree.errors import LumitreeError
 from lumitree.octree.wide_nodes import wide_levels, wide_nodes

@@ -5,12 +5,10 @@
 
 from __future__ import annotations
 
-import drjit as dr
 import mitsuba as mi
 
+from lumitree.core.mitsuba_meshes import copy_mesh
 from lumitree.rendering.plugins.objects import make_object
-
-_BUFFERS = ("faces", "vertex_positions", "vertex_normals", "vertex_texcoords")
 
 
 def box_class() -> type:
@@ -20,19 +18,7 @@ def box_class() -> type:
         _made = False
 
         def __init__(self, props: mi.Properties) -> None:
-            cube = mi.traverse(make_object("cube", {"to_world": props["to_world"]}))
-            super().__init__(
-                props.id(),
-                dr.width(cube["vertex_positions"]) // 3,
-                dr.width(cube["faces"]) // 3,
-                has_vertex_normals=True,
-                has_vertex_texcoords=True,
-                props=props,
-            )
-            parameters = mi.traverse(self)
-            for name in _BUFFERS:
-                parameters[name] = cube[name]
-            parameters.update()
+            copy_mesh(self, make_object("cube", {"to_world": props["to_world"]}), props)
             self._made = True
 
         def traverse(self, callback):

@@ -17,7 +17,10 @@ _LEFT_OUT: ContextVar[bool] = ContextVar("_LEFT_OUT", default=False)
 
 @contextlib.contextmanager
 def proxies_left_out() -> Iterator[None]:
-    """Context in which no ray meets a proxy as a shape, so that no code is recorded for that."""
+    """Context in which no ray meets a proxy as a shape, so that no code is recorded for that.
+
+    Dr.Jit records the BSDFs of all scenes in the process; the field of each lamp would take long.
+    """
     token = _LEFT_OUT.set(True)
     try:
         yield

@@ -93,9 +93,12 @@ class DeferredEmitter(ABC):
 
     @abstractmethod
     def sample_target(
-        self, it: mi.Interaction3f, sample: mi.Point2f, active: mi.Bool
+        self, it: mi.Interaction3f, sample: mi.Point2f, own: mi.Bool, active: mi.Bool
     ) -> EmitterSample:
-        """First half of `sample_direction`: a direction towards the proxy."""
+        """First half of `sample_direction`: a direction towards the proxy.
+
+        From vertices on the lamp's `own` surfaces, and in its media, towards its own emitters.
+        """
 
     @abstractmethod
     def eval_target(
@@ -126,7 +129,7 @@ class DeferredEmitter(ABC):
         specular_chain: mi.Bool,
         bsdf_pdf: mi.Float,
         emitter_pmf: mi.Float,
-        ends: tuple[mi.Float, mi.Float],
+        end: mi.Float,
         active: mi.Bool,
     ) -> tuple[mi.Spectrum, mi.Float, mi.Float]:
         """`eval`, `eval_null_transmission` and `pdf_direction` in one traversal.
@@ -139,21 +142,12 @@ class DeferredEmitter(ABC):
             bsdf_pdf: density per steradian with which the BSDF sampled the ray.
             emitter_pmf: probability with which next-event estimation chooses this emitter; 0 if it
                 could not have found the ray.
-            ends: distances from the ray's origin of the first surface that belongs to the emitter's
-                lamp, and of the first other one.
+            end: distance from the ray's origin of the first surface that does not belong to the
+                emitter's lamp.
 
         Returns:
             Radiance; transmittance; and density with which `sample_direction` gives this direction
             from `it`, 0 if the radiance includes the weight of multiple importance sampling.
-        """
-
-    @abstractmethod
-    def sample_self_emission(
-        self, sample: mi.Float, active: mi.Bool
-    ) -> tuple[mi.ShapePtr, mi.Float, mi.Float]:
-        """An emitting shape of the lamp's geometry, for a number in [0, 1); null where none emits.
-
-        Then its probability, and a new number in [0, 1).
         """
 
     @abstractmethod

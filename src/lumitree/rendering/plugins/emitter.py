@@ -11,6 +11,7 @@ import numpy as np
 from lumitree.core.arguments import check_gain
 from lumitree.core.photometry import LUMENS_PER_WATT, luminance
 from lumitree.errors import LumitreeError
+from lumitree.rendering.plugins.geometry_shapes import straight_light
 from lumitree.rendering.plugins.lamp_light import LampLight
 from lumitree.rendering.plugins.light_colour import light_colour
 from lumitree.rendering.plugins.objects import complete_later
@@ -32,7 +33,7 @@ def emitter_class() -> type:
             super().__init__(props)
             self.placed = Placed(props)
             # Its tables are made while the scene is loaded, and not by the first image.
-            complete_later(lambda: (self.sampler, self.light_colour))
+            complete_later(lambda: (self.sampler, self.straight, self.light_colour))
             self.m_flags = mi.EmitterFlags.Surface | mi.EmitterFlags.SpatiallyVarying
             self.gain = mi.Color3f(*check_gain(props.get("gain", 1.0)))
             self._accept_gain()
@@ -40,17 +41,23 @@ def emitter_class() -> type:
         @functools.cached_property
         def sampler(self):
             placed = self.placed
-            blocked = placed.shows_geometry
+            bent = placed.traces_straight_light
             return emitter_sampler(
-                placed.asset, placed.field, placed.proxy, placed.sampling, blocked=blocked
+                placed.asset, placed.field, placed.proxy, placed.sampling, bent=bent
             )
+
+        @functools.cached_property
+        def straight(self):
+            return straight_light(self.placed.asset) if self.placed.shows_geometry else None
 
         @functools.cached_property
         def light_colour(self):
             return light_colour(self.placed.asset)
 
         def light(self):
-            return LampLight(self.placed, self.sampler, self.light_colour, self.factor)
+            return LampLight(
+                self.placed, self.sampler, self.straight, self.light_colour, self.factor
+            )
 
         @property
         def factor(self):
@@ -74,8 +81,8 @@ def emitter_class() -> type:
             return placed.numbers[0] * left_out_radius(placed.asset) * (1 + 1e-4)
 
         def is_summed(self, point, active):
-            x = self.placed.local_point(point)
-            return active & self.sampler.is_summed(x) & ~self.placed.in_box(x)
+            outside = ~self.placed.in_box(self.placed.local_point(point))
+            return active & outside & self.sampler.includes_mis
 
         def irradiance(self, point, n, random, active):
             line = self.placed.local_line(point, n)
@@ -108,24 +115,21 @@ def emitter_class() -> type:
             radiance = self.factor * self.sampler.look(*line, entering)[0]
             return self.light_colour(radiance, si.wavelengths) & entering
 
-        def sample_target(self, it, sample, active):
-            return self.light().sample_target(it, sample, active)
+        def sample_target(self, it, sample, own, active):
+            return self.light().sample_target(it, sample, own, active)
 
         def eval_target(self, it, sampled, bsdf_pdf, emitter_pmf, active):
             return self.light().eval_target(it, sampled, bsdf_pdf, emitter_pmf, active)
 
         def eval_entered(
-            self, ray, distance, it, specular_chain, bsdf_pdf, emitter_pmf, ends, active
+            self, ray, distance, it, specular_chain, bsdf_pdf, emitter_pmf, end, active
         ):
             return self.light().eval_entered(
-                ray, distance, it, specular_chain, bsdf_pdf, emitter_pmf, ends, active
+                ray, distance, it, specular_chain, bsdf_pdf, emitter_pmf, end, active
             )
 
         def transmittance(self, ray, distance, active):
             return self.light().transmittance(ray, distance, active)
-
-        def sample_self_emission(self, sample, active):
-            return self.placed.self_lights.sample(sample, active)
 
         def sample_direction(self, it, sample, active=True):
             placed = self.placed

@@ -20,40 +20,27 @@ def hit_light(
     si: mi.SurfaceInteraction3f,
     it: mi.Interaction3f,
     ds: mi.DirectionSample3f,
-    specular_chain: mi.Bool,
     shown: mi.Bool,
-    bsdf_pdf: mi.Float,
-    emitter_pmf: mi.Float,
+    straight: mi.Bool,
     active: mi.Bool,
-) -> tuple[mi.Spectrum, mi.Float, mi.Float, mi.Bool, mi.Bool]:
-    """Light of an emitter that a ray has hit.
+) -> tuple[mi.Spectrum, mi.Float]:
+    """Light of an emitter that a ray has hit. A ray hits no proxy, so no `DeferredEmitter`.
 
     Args:
         it: the vertex that the ray comes from.
-        specular_chain, bsdf_pdf, emitter_pmf: as for `DeferredEmitter.eval_entered`.
-        shown: whether the path gets what shapes of the lamp's geometry emit.
+        shown, straight: whether the path gets what shapes of a lamp's geometry emit, or gets it if
+            the lamp's straight light is traced.
 
     Returns:
-        Radiance; transmittance of a proxy; density with which emitter sampling gives this
-        direction; whether the surface is a proxy; and whether it belongs to the geometry of a lamp.
+        Radiance; and density with which emitter sampling gives this direction.
     """
-    no = mi.Bool(False)
-    if isinstance(emitter, DeferredEmitter | LampLight):
-        # Only where the scene is not divided.
-        ray = mi.Ray3f(si.p, -si.to_world(si.wi), si.time, si.wavelengths)
-        entering = active & (mi.Frame3f.cos_theta(si.wi) > 0)
-        nowhere = mi.Float(dr.inf), mi.Float(dr.inf)
-        hit = entered_light(
-            emitter, ray, mi.Float(0), it, specular_chain, bsdf_pdf, emitter_pmf, nowhere, entering
-        )
-        return *hit, mi.Bool(True), no
+    if emitter is None or isinstance(emitter, DeferredEmitter | LampLight):
+        return mi.Spectrum(0), mi.Float(0)
     if isinstance(emitter, GeometryEmitter):
-        radiance, pdf = emitter.eval_self_emission(si, it, ds, active & shown)
-        return radiance & shown, mi.Float(1), pdf, no, mi.Bool(True)
-    if emitter is None:
-        return mi.Spectrum(0), mi.Float(1), mi.Float(0), no, no
-    pdf = emitter.pdf_direction(it, ds, active)
-    return emitter.eval(si, active), mi.Float(1), pdf, no, no
+        counts = shown | (straight & emitter.traced)
+        radiance, pdf = emitter.eval_self_emission(si, it, ds, active & counts)
+        return radiance & counts, pdf
+    return emitter.eval(si, active), emitter.pdf_direction(it, ds, active)
 
 
 def entered_light(
@@ -64,13 +51,13 @@ def entered_light(
     specular_chain: mi.Bool,
     bsdf_pdf: mi.Float,
     emitter_pmf: mi.Float,
-    ends: tuple[mi.Float, mi.Float],
+    end: mi.Float,
     active: mi.Bool,
 ) -> tuple[mi.Spectrum, mi.Float, mi.Float]:
     """Radiance, transmittance and density of a lamp whose proxy a ray enters."""
     if isinstance(emitter, DeferredEmitter | LampLight):
         return emitter.eval_entered(
-            ray, distance, it, specular_chain, bsdf_pdf, emitter_pmf, ends, active
+            ray, distance, it, specular_chain, bsdf_pdf, emitter_pmf, end, active
         )
     return mi.Spectrum(0), mi.Float(1), mi.Float(0)
 
@@ -88,11 +75,12 @@ def sample_target(
     emitter: mi.Emitter | LampLight | None,
     it: mi.Interaction3f,
     sample: mi.Point2f,
+    own: mi.Bool,
     active: mi.Bool,
 ) -> EmitterSample:
     """Direction sampled towards an emitter; weight and density are for `eval_target` to find."""
     if isinstance(emitter, DeferredEmitter | LampLight):
-        return emitter.sample_target(it, sample, active)
+        return emitter.sample_target(it, sample, own, active)
     if emitter is None:
         return dr.zeros(EmitterSample)
     ds, weight = emitter.sample_direction(it, sample, active)
@@ -119,21 +107,3 @@ def is_summed(emitter: mi.Emitter, point: mi.Point3f, active: mi.Bool) -> mi.Boo
     if isinstance(emitter, DeferredEmitter):
         return emitter.is_summed(point, active)
     return mi.Bool(False)
-
-
-def sample_self_emission(
-    emitter: mi.Emitter, sample: mi.Float, active: mi.Bool
-) -> tuple[mi.ShapePtr, mi.Float, mi.Float]:
-    """A shape of a lamp that emits, its probability, and a new sample."""
-    if isinstance(emitter, DeferredEmitter):
-        return emitter.sample_self_emission(sample, active)
-    return dr.zeros(mi.ShapePtr), mi.Float(0), mi.Float(0)
-
-
-def sample_self_direction(
-    emitter: mi.Emitter, it: mi.Interaction3f, sample: mi.Point2f, active: mi.Bool
-) -> tuple[mi.DirectionSample3f, mi.Spectrum]:
-    """Direction to a lamp's shape, as `GeometryEmitter.sample_self_direction`."""
-    if isinstance(emitter, GeometryEmitter):
-        return emitter.sample_self_direction(it, sample, active)
-    return dr.zeros(mi.DirectionSample3f), mi.Spectrum(0)

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from lumitree.asset.textures import Json
 from lumitree.core.device import parameter
-from lumitree.errors import LumitreeError
 from lumitree.rendering.plugins.objects import load_ordered, make_object, make_properties
 
 
@@ -26,15 +25,16 @@ class Radiance:
     """
 
     def __init__(self, source: mi.Texture | Sequence[float]) -> None:
-        self.constant: mi.Color3f | None = None
+        self.constant: NDArray[np.float64] | None = None
         if isinstance(source, mi.Texture):
             self._texture = source
         else:
-            self.constant = parameter(mi.Color3f, *source)
+            self.constant = np.array(source, np.float64)
+            self._colour = parameter(mi.Color3f, *source)
 
     def __call__(self, si: mi.SurfaceInteraction3f, active: mi.Bool) -> mi.Color3f:
         if self.constant is not None:
-            return self.constant
+            return self._colour
         if mi.is_spectral:
             return self._texture.eval_3(si, active)
         return mi.Color3f(self._texture.eval(si, active))
@@ -70,11 +70,6 @@ class Materials:
         if not mi.is_spectral:
             values = {"radiance": self._value(radiance)}
             return Radiance(make_properties("", values).get_emissive_texture("radiance"))
-        if "attribute" in radiance:
-            raise LumitreeError(
-                "a surface of the lamp emits by the colours of its vertices, which spectral "
-                "variants do not render; use an RGB variant"
-            )
         description = self._description(radiance)
         pixels = mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, False
         description["bitmap"] = description["bitmap"].convert(*pixels)

@@ -1,9 +1,9 @@
 """The emitter and the glass of a lamp's own shapes, where an image shows the geometry of an asset.
 
-The light of a lamp reaches a scene from its light field. Its shapes therefore emit only
-where a path shows the lamp, and next-event estimation of the scene does not sample them. Where a
-path shows a rough surface of the lamp, next-event estimation of the lamp's own light does. The
-integrator `lumitree_path` makes this distinction; others see shapes that do not emit.
+The bent light of a lamp reaches a scene from its light field, and its straight light from its
+shapes, which next-event estimation of the scene does not sample: that of the lamp does
+(`sampling.straight_light`). At vertices on the lamp, they emit only where the path shows the lamp.
+The integrator `lumitree_path` makes this distinction; others see shapes that do not emit.
 
 Glass bends the rays of an image. Elsewhere light crosses it straight, with its Fresnel
 transmittance: shadow rays, and rays after a vertex that is not specular. Else next-event estimation
@@ -16,14 +16,11 @@ from typing import Any, Protocol, runtime_checkable
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
 
 from lumitree.core.device import parameter
-from lumitree.lamp.emitting_surfaces import EmittingSurfaces
 from lumitree.rendering.plugins.delta_bsdf import delta_bsdf_class
 from lumitree.rendering.plugins.geometry_materials import Radiance
 from lumitree.rendering.plugins.objects import make_properties
-from lumitree.rendering.sampling.self_lights import SelfLights
 
 # Marks a BSDF that light crosses straight, in `flags()`; Mitsuba does not use this bit.
 CROSSED_STRAIGHT = 1 << 24
@@ -31,7 +28,13 @@ CROSSED_STRAIGHT = 1 << 24
 
 @runtime_checkable
 class GeometryEmitter(Protocol):
-    """Emitter of a shape of a lamp's geometry, which `lumitree_path` evaluates."""
+    """Emitter of a shape of a lamp's geometry, which `lumitree_path` evaluates.
+
+    Attributes:
+        traced: whether the lamp's straight light comes from its shapes.
+    """
+
+    traced: bool
 
     def eval_self_emission(
         self,
@@ -48,19 +51,8 @@ class GeometryEmitter(Protocol):
             ds: from `it` to the point.
 
         Returns:
-            Radiance towards `si.wi`; and density per steradian with which a point of the shape that
-            `sample_self_emission` gave has this direction from `it`.
-        """
-        ...
-
-    def sample_self_direction(
-        self, it: mi.Interaction3f, sample: mi.Point2f, active: mi.Bool
-    ) -> tuple[mi.DirectionSample3f, mi.Spectrum]:
-        """Sample a direction from a vertex to the shape.
-
-        Returns:
-            The direction, whose `pdf` is the one of `eval_self_emission` but for the probability of
-            the shape; and radiance over the density per steradian with which it was sampled.
+            Radiance towards `si.wi`; and density per steradian that stands for that of emitter
+            sampling of the lamp (`StraightSample.density`).
         """
         ...
 
@@ -70,55 +62,28 @@ def geometry_emitter_class() -> type:
 
     class LumitreeGeometryEmitter(mi.Emitter):
         def __init__(
-            self,
-            lamp: Any,
-            lights: SelfLights,
-            radiance: Radiance | None = None,
-            index: int = 0,
+            self, lamp: Any, radiance: Radiance | None = None, density: float = 0.0
         ) -> None:
-            """Emitter of shape `index` of `lights`; `lamp` is the emitter of the proxy."""
+            """Emitter of a shape of the lamp whose proxy has the emitter `lamp`.
+
+            Args:
+                radiance: of the shape; None if it is black.
+                density: of `StraightLight.densities`, scene units.
+            """
             super().__init__(make_properties("lumitree_geometry", {"sampling_weight": 0.0}))
-            self._lamp, self._lights = lamp, lights
+            self._lamp, self._radiance = lamp, radiance
             self._gain = parameter(mi.Color3f, *lamp.placed.asset.gain)
-            self._radiance, self._index = radiance, index
-            self._surfaces: EmittingSurfaces | None = None
+            self._density = parameter(mi.Float, density)
+            self.traced = lamp.placed.traces_straight_light
             self.m_flags = mi.EmitterFlags.Surface | mi.EmitterFlags.SpatiallyVarying
 
         def eval_self_emission(self, si, it, ds, active):
             if self._radiance is None:
                 return mi.Spectrum(0), mi.Float(0)
-            pdf = self.get_shape().pdf_direction(it, ds, active) * self._lights.pmf(self._index)
-            return self._eval(si, active), pdf
-
-        def complete(self, shape: mi.Shape) -> float:
-            """Prepare sampling of the shape that has this emitter; returns its power, relative."""
-            assert self._radiance is not None
-            if self._radiance.constant is not None:
-                mean, area = dr.mean(self._radiance.constant), shape.surface_area()
-                return float(np.ravel(mean)[0] * np.ravel(area)[0])
-            radiance = self._radiance
-            self._surfaces = EmittingSurfaces([shape], lambda si, _: radiance(si, mi.Bool(True)))
-            return self._surfaces.power
-
-        def sample_self_direction(self, it, sample, active):
-            if self._radiance is None:
-                return dr.zeros(mi.DirectionSample3f), mi.Spectrum(0)
-            shape = self.get_shape()
-            if self._surfaces is None:
-                ds = shape.sample_direction(it, sample, active)
-                si = mi.SurfaceInteraction3f(ds, it.wavelengths)
-                si.wi, pdf = mi.Vector3f(0, 0, -dr.dot(ds.d, ds.n)), ds.pdf
-            else:
-                point = self._surfaces.sample(sample, active)
-                (ds, pdf), si = point.towards(it), point.si
-                ds.pdf = shape.pdf_direction(it, ds, active)
-            return ds, dr.select(pdf > 0, self._eval(si, active) / pdf, 0)
-
-        def _eval(self, si, active):
-            assert self._radiance is not None
+            pdf = self._density * dr.square(ds.dist) / dr.abs(dr.dot(ds.d, si.n))
             front = active & (mi.Frame3f.cos_theta(si.wi) > 0)
             radiance = self._lamp.factor * self._gain * self._radiance(si, front)
-            return dr.select(front, self._lamp.light_colour(radiance, si.wavelengths), 0)
+            return dr.select(front, self._lamp.light_colour(radiance, si.wavelengths), 0), pdf
 
         def eval(self, si, active=True):
             return mi.Spectrum(0)

@@ -9,16 +9,21 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.asset.asset import Asset
 from lumitree.asset.geometry import AssetGeometry
 from lumitree.asset.geometry_media import MEDIA_SIDES, scattering_sides, side_medium
 from lumitree.asset.materials import is_specular
-from lumitree.asset.textures import VERTEX_COLOUR, Json
-from lumitree.core.device import on_device, transforms_as_parameters
+from lumitree.asset.textures import Json
+from lumitree.core.device import transforms_as_parameters
 from lumitree.core.frames import similarity_scale
+from lumitree.core.mitsuba_meshes import make_mesh
 from lumitree.rendering.plugins.geometry_materials import Materials, Radiance
 from lumitree.rendering.plugins.geometry_plugins import geometry_emitter_class, geometry_glass_class
 from lumitree.rendering.plugins.objects import make_object, make_properties
+from lumitree.rendering.sampling.emitting_elements import emitting_surface
+from lumitree.rendering.sampling.straight_light import StraightLight
 
+_STRAIGHT: weakref.WeakKeyDictionary[Asset, dict[str, StraightLight]] = weakref.WeakKeyDictionary()
 _SURFACES: weakref.WeakKeyDictionary[AssetGeometry, dict[str, _Surfaces]] = (
     weakref.WeakKeyDictionary()
 )
@@ -31,16 +36,35 @@ def geometry_shapes(
 
     Args:
         scene_from_world: [4, 4] similarity, from the frame of the luminaire's file to the scene.
-        lamp: emitter `lumitree` of the proxy, whose gain applies to the shapes too, and whose
-            `self_lights` are made.
+        lamp: emitter `lumitree` of the proxy, whose gain applies to the shapes too.
     """
     builder = _Builder(geometry, scene_from_world, lamp)
-    shapes = [
+    return [
         builder.shape(shape, mesh)
         for shape, mesh in zip(geometry.shapes, geometry.meshes(), strict=True)
     ]
-    builder.complete()
-    return shapes
+
+
+def straight_light(asset: Asset) -> StraightLight | None:
+    """The emitters of an asset's geometry, shared by all instances of a lamp; None without any."""
+    geometry = asset.geometry
+    assert geometry is not None
+    emitting = [i for i, shape in enumerate(geometry.shapes) if shape["radiance"] is not None]
+    if not emitting:
+        return None
+    lights, key = _STRAIGHT.setdefault(asset, {}), str(mi.variant())
+    if key not in lights:
+        matrix = asset.frame.local_from_world @ geometry.file_from_geometry
+        surfaces, meshes = _surfaces(geometry), geometry.meshes()
+        found = []
+        for i in emitting:
+            radiance = surfaces.emitted(geometry.shapes[i]["radiance"])
+            source = radiance if radiance.constant is None else radiance.constant
+            found.append(emitting_surface(geometry.shapes[i], meshes[i], source, matrix))
+        half_extents = asset.frame.half_extents
+        light = StraightLight(found, asset.light_field, half_extents, asset.gain)
+        return lights.setdefault(key, light)
+    return lights[key]
 
 
 class _Builder:
@@ -50,7 +74,8 @@ class _Builder:
         self._geometry, self._lamp = geometry, lamp
         # From the geometry's coordinates, in double precision: they may be far from the file's.
         self._matrix = scene_from_world @ geometry.file_from_geometry
-        self._lights, self._emitting = lamp.placed.self_lights, list[tuple[mi.Shape, Any]]()
+        straight = lamp.straight
+        self._densities = iter([] if straight is None else straight.densities)
         # By their descriptions: all shapes of one medium share an object.
         self._media: dict[str, Any] = {}
         self._scale = similarity_scale(scene_from_world, "to_world")
@@ -66,9 +91,10 @@ class _Builder:
         # A surface that shows other things needs no emitter: it neither emits nor scatters.
         emitted = None if radiance is None else self._surfaces.emitted(radiance)
         if radiance is not None or not is_specular(material):
-            values["emitter"] = self._emitter(
-                self._lamp, self._lights, emitted, len(self._emitting)
-            )
+            density = 0.0
+            if emitted is not None:
+                density = next(self._densities) / self._lamp.placed.numbers[0] ** 2
+            values["emitter"] = self._emitter(self._lamp, emitted, density)
         for side in MEDIA_SIDES:
             if side in shape:
                 values[side] = self._medium(shape[side])
@@ -79,42 +105,13 @@ class _Builder:
             transforms_as_parameters([made])
         else:
             made = self._mesh(mesh, make_properties("", values))
-        if emitted is not None:
-            self._emitting.append((made, values["emitter"]))
         return made
-
-    def complete(self) -> None:
-        """Sample what emits by its flux."""
-        if self._emitting:
-            power = [emitter.complete(shape) for shape, emitter in self._emitting]
-            # No shape is left out, also where no radiance was found.
-            self._lights.set_shapes([each for each, _ in self._emitting], np.maximum(power, 1e-30))
 
     def _mesh(self, mesh: dict[str, NDArray[Any]], props: mi.Properties) -> mi.Mesh:
         rotation = self._matrix[:3, :3] / self._scale
-        placed = {
-            "vertex_positions": mesh["vertices"] @ self._matrix[:3, :3].T + self._matrix[:3, 3],
-            "faces": mesh["faces"],
-        }
-        if len(mesh["normals"]):
-            placed["vertex_normals"] = mesh["normals"] @ rotation.T
-        if len(mesh["texcoords"]):
-            placed["vertex_texcoords"] = mesh["texcoords"]
-        shape = mi.Mesh(
-            "geometry",
-            len(mesh["vertices"]),
-            len(mesh["faces"]),
-            has_vertex_normals="vertex_normals" in placed,
-            has_vertex_texcoords="vertex_texcoords" in placed,
-            props=props,
-        )
-        if len(mesh["colours"]):
-            shape.add_attribute(VERTEX_COLOUR, 3, on_device(mi.Float, mesh["colours"]))
-        parameters = mi.traverse(shape)
-        for name, values in placed.items():
-            parameters[name] = on_device(mi.UInt32 if name == "faces" else mi.Float, values)
-        parameters.update()
-        return shape
+        vertices = mesh["vertices"] @ self._matrix[:3, :3].T + self._matrix[:3, 3]
+        placed = {**mesh, "vertices": vertices, "normals": mesh["normals"] @ rotation.T}
+        return make_mesh("geometry", placed, props)
 
     def _medium(self, described: Any) -> mi.Medium:
         """The medium of a side of a shape, whose coefficients are per unit of the file."""

@@ -12,14 +12,14 @@ Opaque BSDFs do not scatter light through the geometric surface (`geometric_norm
 lets them do where shading normals are smooth.
 
 Proxies are not traced. The integrator traces the other shapes as a scene of their own, and finds
-the proxies that a ray enters by itself (`proxies.DividedScene`). Where a scene cannot be divided, a
-ray crosses a proxy as any null surface.
+the proxies that a ray enters by itself (`proxies.DividedScene`).
 
 Where images show the geometry of a lamp, its shapes are in the scene, and each path gets its light
 once. As long as all vertices since the camera are specular or on surfaces of this lamp, the path
 gets what the lamp's shapes emit (`self_emission`). A scattering in a medium of the lamp's geometry
-counts as a vertex on the lamp. Vertices elsewhere, inside its box too, get its light field,
-which contains all light that its surfaces scatter: so these surfaces get none of it again.
+counts as a vertex on the lamp. Vertices elsewhere, inside its box too, get what the shapes emit
+straight, through nothing that bends it, and the light field, which contains all light that the
+lamp's surfaces bend or scatter: so these surfaces get none of it again.
 After the first vertex that is not specular, the lamp's glass bends no ray (`geometry_plugins`),
 and a crossing of it is a null interaction.
 
@@ -31,7 +31,6 @@ sample through them.
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Sequence
 
 import drjit as dr
@@ -44,7 +43,6 @@ from lumitree.rendering.plugins.bsdf import proxies_left_out
 from lumitree.rendering.plugins.path_emission import (
     add_emission,
     add_emitter_light,
-    add_self_emission,
     sample_emitter,
 )
 from lumitree.rendering.plugins.path_scene import PathScene
@@ -120,10 +118,7 @@ def integrator_class() -> type:
             )
             inside = dr.zeros(mi.MediumPtr) if medium is None else mi.MediumPtr(medium)
             path = PathState.start(ray, inside, mi.Bool(active))
-            # Recording code for proxies that are not traced would take long in large scenes.
-            left_out = paths.divided.surfaces is not scene
-            with proxies_left_out() if left_out else contextlib.nullcontext():
-                return trace_paths(paths, path, sampler, self.max_depth, self.rr_depth)
+            return trace_paths(paths, path, sampler, self.max_depth, self.rr_depth)
 
         def aov_names(self):
             return self.layers.channel_names()
@@ -134,6 +129,7 @@ def integrator_class() -> type:
     return LumitreePath
 
 
+@proxies_left_out()
 @dr.syntax
 def trace_paths(
     scene: PathScene, path: PathState, sampler: mi.Sampler, max_depth: int, rr_depth: int
@@ -173,20 +169,19 @@ def trace_paths(
         # ---------------------- Direct emission ----------------------
 
         hit = end_segment(scene, path, free_flight)
-        on_proxy = add_emission(scene, path, hit)
+        add_emission(scene, path, hit)
 
         # ---------------------- Emitter sampling ----------------------
 
-        vertex = find_vertex(scene, path, hit, free_flight, on_proxy, largest_depth)
+        vertex = find_vertex(scene, path, hit, free_flight, largest_depth)
         choice = sample_emitter(scene, path, vertex, sampler)
         # One call evaluates the BSDF for the emitter's direction and samples the next.
         scattering = sample_scattering(scene, path, vertex, choice.sampled.ds.d, sampler)
         add_emitter_light(scene, path, vertex, choice, scattering)
-        self_sampled = add_self_emission(scene, path, vertex, sampler)
 
         # ---- Update loop variables based on current interaction -----
 
-        bounces = scatter(scene, path, vertex, scattering, self_sampled)
+        bounces = scatter(scene, path, vertex, scattering)
 
         # ---------------------- Russian roulette ----------------------
 

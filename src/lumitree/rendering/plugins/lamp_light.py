@@ -10,7 +10,9 @@ import mitsuba as mi
 
 from lumitree.rendering.plugins.deferred_emitter import EmitterSample
 from lumitree.rendering.plugins.placed import Placed
-from lumitree.rendering.sampling.emitter_sampling import DirectionSampler, RayEnds
+from lumitree.rendering.sampling.emitter_sampling import STRAIGHT, DirectionSampler
+from lumitree.rendering.sampling.samples import mis_weight
+from lumitree.rendering.sampling.straight_light import StraightLight
 
 
 class LampLight:
@@ -23,10 +25,11 @@ class LampLight:
         self,
         placed: Placed,
         sampler: DirectionSampler,
+        straight: StraightLight | None,
         light_colour: Callable[..., Any],
         gain: mi.Color3f,
     ) -> None:
-        self.placed, self.sampler = placed, sampler
+        self.placed, self.sampler, self.straight = placed, sampler, straight
         self.light_colour, self.gain = light_colour, gain
 
     def moved(
@@ -34,47 +37,61 @@ class LampLight:
     ) -> LampLight:
         """The same light elsewhere; arguments as of `Placed`, one for each ray."""
         placed = self.placed.moved(scale, centre, rotation)
-        return LampLight(placed, self.sampler, self.light_colour, gain)
+        return LampLight(placed, self.sampler, self.straight, self.light_colour, gain)
 
-    def sample_target(self, it, sample, active):
+    def sample_target(self, it, sample, own, active):
         placed = self.placed
         at = placed.local_point(it.p)
         x = placed.receiver(at)
         inside = placed.in_box(x) if placed.holds else mi.Bool(False)
-        direction, target = self.sampler.sample_target(x, sample, active, inside)
-        ds, valid = self.towards(it, x, direction, active)
+        direction, target = self.sampler.sample_target(x, sample, active & ~own, inside)
+        straight = mi.Bool(False)
+        if self.straight is not None:
+            traced = active & (own | self.placed.traces_straight_light)
+            target.total = dr.select(own, 0, target.total)
+            self.straight.choose(at, sample, target, traced, inside | own)
+            straight = traced & (target.place == STRAIGHT)
+            found = self.straight.sample(at, target, sample, straight)
+            direction = dr.select(straight, found, direction)
+        ds, valid = self.towards(it, x, direction, active & ~own)
         # From where the light leaves the box it is there already.
         moved = mi.Bool(False) if placed.holds else placed.in_box(at)
         end, beyond = dr.select(moved, 0, ds.dist), mi.Float(0)
-        if placed.shows_geometry:
-            # The lamp's own surfaces block up to the box, or within it up to the cell.
-            border = self.sampler.border(x, direction, target, active) * placed.scale
-            end = dr.maximum(dr.select(inside, 0, end), border)
+        point = target.distance * placed.scale
         if placed.holds:
-            valid |= active & inside
-            point = target.distance * placed.scale
+            valid |= active & inside & ~own
             if placed.shows_geometry:
+                # The lamp's own surfaces do not block what is stored.
+                end = dr.select(inside, 0, end)
                 beyond = dr.maximum(point - end, 0)
             else:
                 end = point
+        end, beyond = dr.select(straight, point, end), dr.select(straight, 0, beyond)
         ds.p = dr.select(ds.dist == end, ds.p, dr.fma(end, ds.d, it.p))
         ds.dist = end
-        includes_mis = mi.Bool(self.sampler.includes_mis)
+        valid = dr.select(straight, dr.max(target.light) > 0, valid)
+        includes_mis = mi.Bool(self.sampler.includes_mis) | straight
         return EmitterSample(ds, mi.Spectrum(1), valid, includes_mis, target, beyond)
 
     def eval_target(self, it, sampled, bsdf_pdf, emitter_pmf, active):
         x, direction = self.placed.local_line(it.p, sampled.ds.d)
+        sampled_pdf = bsdf_pdf
         near = sampled.ds.dist / self.placed.scale
         if not self.placed.holds:
             # Rays of the BSDF of a receiver that touches the box may not enter it.
             bsdf_pdf = dr.select(self.placed.touches(x), 0, bsdf_pdf)
             x = self.placed.receiver(x)
+        target = sampled.target
+        straight = active & (target.place == STRAIGHT)
+        share = mis_weight(target.density * emitter_pmf, sampled_pdf)
         weight, density = self.sampler.eval_target(
-            x, direction, near, sampled.target, bsdf_pdf, emitter_pmf, active
+            x, direction, near, target, bsdf_pdf, emitter_pmf, active & ~straight
         )
+        weight = dr.select(straight, target.light * share, weight)
+        density = dr.select(straight, 1, density)
         return self.light_colour(self.gain * weight, it.wavelengths), density
 
-    def eval_entered(self, ray, distance, it, specular_chain, bsdf_pdf, emitter_pmf, ends, active):
+    def eval_entered(self, ray, distance, it, specular_chain, bsdf_pdf, emitter_pmf, end, active):
         placed = self.placed
         x, (entry, direction) = placed.local_point(it.p), placed.entry(ray, distance)
         if placed.shows_geometry:
@@ -86,7 +103,6 @@ class LampLight:
         else:
             # Next-event estimation alone finds the light for receivers that touch the box.
             active &= (emitter_pmf <= 0) | ~placed.touches(x)
-        ends = RayEnds(*((end - distance) / placed.scale for end in ends))
         radiance, through, density = self.sampler.eval_hit(
             x,
             entry,
@@ -97,7 +113,7 @@ class LampLight:
             emitter_pmf,
             active,
             inside,
-            ends,
+            (end - distance) / placed.scale,
         )
         if not placed.dims:
             through = mi.Float(1)

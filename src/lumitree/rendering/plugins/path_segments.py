@@ -9,6 +9,7 @@ from lumitree.rendering.plugins.emitter_calls import entered_light
 from lumitree.rendering.plugins.path_scene import PathScene
 from lumitree.rendering.plugins.path_state import FreeFlight, Hit, PathState
 from lumitree.rendering.plugins.proxies import MAX_CROSSINGS, NONE
+from lumitree.rendering.sampling.samples import mis_weight
 from lumitree.trace import medium_paths
 from lumitree.trace.spawning import spawn
 
@@ -70,7 +71,7 @@ def add_entered_light(scene: PathScene, path: PathState, free_flight: FreeFlight
     # A lamp's light comes whole, whether or not the medium scatters the ray in its box.
     ahead = divided.owners.of(path.pi.shape, active & path.pi.is_valid())
     while active:
-        ends = divided.ends(path.ray, path.pi.t, lamp, ahead, active)
+        far = divided.end(path.ray, path.pi.t, lamp, ahead, active)
         emitter = scene.emitter(lamp, active)
         emitter_pmf = scene.selection.pmf(emitter, path.si_prev, active)
         emitter_pmf = dr.select(path.bsdf_delta_prev, 0, emitter_pmf)
@@ -83,7 +84,7 @@ def add_entered_light(scene: PathScene, path: PathState, free_flight: FreeFlight
             path.specular_chain,
             path.bsdf_pdf_prev,
             emitter_pmf,
-            ends,
+            far,
             active,
         )
         light *= path.β * mis_weight(path.bsdf_pdf_prev, emitter_pdf * emitter_pmf)
@@ -113,14 +114,15 @@ def end_segment(scene: PathScene, path: PathState, free_flight: FreeFlight) -> H
         path.β[hit_medium] *= weight
         path.ρ[hit_medium] = densities
     # The lamp that the surface belongs to, and whether the path gets what its shapes emit.
-    owner, shown = mi.UInt32(NONE), mi.Bool(path.specular_chain)
+    owner, shown, straight = mi.UInt32(NONE), mi.Bool(path.specular_chain), mi.Bool(False)
     if scene.shows_geometry:
         owners = scene.divided.owners
         owner = owners.of(si.shape, hit_surface & si.is_valid())
         if owners.scatter:
             owner = dr.select(hit_medium, owners.of_medium(path.medium, hit_medium), owner)
         shown |= (owner == path.self_emission) & (owner != NONE)
-    return Hit(si, si.bsdf(path.ray), hit_surface, hit_medium, owner, shown)
+        straight = (owner != path.on_lamp) & ((path.bent_by & owners.bit(owner, hit_surface)) == 0)
+    return Hit(si, si.bsdf(path.ray), hit_surface, hit_medium, owner, shown, straight)
 
 
 def _attenuate(path: PathState, distance: mi.Float, active: mi.Bool) -> None:
@@ -130,9 +132,3 @@ def _attenuate(path: PathState, distance: mi.Float, active: mi.Bool) -> None:
     )
     path.β[active] *= weight
     path.ρ[active] = densities
-
-
-def mis_weight(pdf: mi.Float, other_pdf: mi.Float) -> mi.Float:
-    """Power heuristic; 0 where neither density is positive, as in `path`."""
-    weight = dr.square(pdf) / (dr.square(pdf) + dr.square(other_pdf))
-    return dr.select(dr.isfinite(weight), weight, 0)

@@ -48,7 +48,8 @@ class PathState:
     bsdf_delta_prev: mi.Bool           # Whether emitter sampling could not have found it
     specular_chain: mi.Bool            # Whether all vertices so far were specular
     self_emission: mi.UInt32           # Lamp on which `si_prev` is, whose shapes' emission counts
-    self_sampled: mi.Bool              # Whether its emission was sampled at `si_prev`
+    on_lamp: mi.UInt32                 # Lamp on which `si_prev` is, or `NONE`
+    bent_by: mi.UInt32                 # Lamps whose glass the ray has crossed since
     skipped: mi.UInt32                 # Lamps without light in the box where the ray starts
     # fmt: on
 
@@ -75,7 +76,8 @@ class PathState:
             bsdf_delta_prev=mi.Bool(True),
             specular_chain=mi.Bool(True),
             self_emission=mi.UInt32(NONE),
-            self_sampled=mi.Bool(False),
+            on_lamp=mi.UInt32(NONE),
+            bent_by=mi.UInt32(0),
             skipped=mi.UInt32(0),
         )
 
@@ -135,21 +137,22 @@ class Hit:
     hit_medium: mi.Bool           # Whether the medium scatters before it
     owner: mi.UInt32              # Lamp that the surface or the medium belongs to, or `NONE`
     shown: mi.Bool                # Whether the path gets what this lamp's shapes emit
+    straight: mi.Bool             # Whether what they emit reaches `si_prev` straight
     # fmt: on
 
 
 @dataclass
 class Vertex:
-    """Where a path goes on: an interaction with a proxy, a surface or a medium."""
+    """Where a path goes on: an interaction with a surface or a medium."""
 
     # fmt: off
     si: mi.SurfaceInteraction3f   # The surface, or the point in the medium
     bsdf: mi.BSDFPtr              # Its BSDF
     owner: mi.UInt32              # As of `Hit`
     shown: mi.Bool                # As of `Hit`
-    on_proxy: mi.Bool             # On a proxy that is traced, which does nothing more
-    active_surface: mi.Bool       # On another surface, which scatters
+    active_surface: mi.Bool       # On a surface, which scatters
     active_medium: mi.Bool        # In a medium, which scatters
+    last: mi.Bool                 # Whether only null interactions may follow
     opaque: mi.Bool               # Whether the surface lets no light through
     straight: mi.Bool             # Whether it is glass that bends no ray (`geometry_plugins`)
     behind: mi.Bool               # Whether the ray has met this glass from inside

@@ -14,7 +14,7 @@ from lumitree.rendering.plugins.path_state import (
     Scattering,
     Vertex,
 )
-from lumitree.rendering.plugins.proxies import ALL, MAX_CROSSINGS, NONE
+from lumitree.rendering.plugins.proxies import MAX_CROSSINGS, NONE
 from lumitree.trace import medium_paths
 from lumitree.trace.geometric_normals import is_opaque, on_opposite_sides
 from lumitree.trace.spawning import spawn
@@ -25,13 +25,18 @@ def find_vertex(
     path: PathState,
     hit: Hit,
     free_flight: FreeFlight,
-    on_proxy: mi.Bool,
     max_depth: mi.UInt32,
 ) -> Vertex:
-    """The vertex where a ray has ended. A proxy is left the way it was entered."""
+    """The vertex where a ray has ended."""
     si, bsdf = hit.si, hit.bsdf
-    active = path.active & ~on_proxy & (si.is_valid() | hit.hit_medium)
-    active &= path.depth - path.depth_freed + 1 < max_depth
+    active = path.active & (si.is_valid() | hit.hit_medium)
+    # Null interactions do not count, so light may come through them.
+    last = path.depth - path.depth_freed + 1 >= max_depth
+    if scene.has_null_surfaces:
+        passes = hit.hit_surface & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null)
+        active &= ~last | passes
+    else:
+        active &= ~last
     if scene.has_scattering:
         si[hit.hit_medium] = medium_paths.scattering_point(path.ray, free_flight.distance)
     active_surface, active_medium = active & ~hit.hit_medium, active & hit.hit_medium
@@ -48,9 +53,9 @@ def find_vertex(
         bsdf,
         hit.owner,
         hit.shown,
-        on_proxy,
         active_surface,
         active_medium,
+        last,
         opaque,
         straight,
         behind,
@@ -75,13 +80,7 @@ def sample_scattering(
     return Scattering(value, pdf, bs, weight, phase_wo)
 
 
-def scatter(
-    scene: PathScene,
-    path: PathState,
-    vertex: Vertex,
-    scattering: Scattering,
-    self_sampled: mi.Bool,
-) -> mi.Bool:
+def scatter(scene: PathScene, path: PathState, vertex: Vertex, scattering: Scattering) -> mi.Bool:
     """Update paths for the sampled direction.
 
     Returns:
@@ -90,13 +89,13 @@ def scatter(
     si, bs, owners = vertex.si, scattering.bs, scene.divided.owners
     active = vertex.active_surface | vertex.active_medium
     null = vertex.active_surface & mi.has_flag(bs.sampled_type, mi.BSDFFlags.Null)
-    null |= vertex.on_proxy
     if scene.shows_geometry:
         crossed = vertex.straight & mi.has_flag(bs.sampled_type, mi.BSDFFlags.DeltaTransmission)
         null |= crossed
         # Radiance is not compressed, as it would be in a denser medium.
         path.β[crossed] *= dr.square(bs.eta)
         bs.wo.z = dr.select(vertex.behind, -bs.wo.z, bs.wo.z)
+        path.bent_by[crossed] |= owners.bit(vertex.owner, active)
     bounces = active & ~null
     path.β[active] *= scattering.weight
     path.η[bounces & vertex.active_surface] *= bs.eta
@@ -107,12 +106,12 @@ def scatter(
     delta = vertex.active_surface & mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
     path.bsdf_delta_prev[bounces] = delta
     path.specular_chain &= ~bounces | path.bsdf_delta_prev
-    path.self_sampled[bounces] = self_sampled
-    # A ray that goes on behind a proxy, or behind a surface of a lamp, has its light already.
+    # A ray that goes on behind a surface of a lamp has the lamp's light already.
     path.skipped[bounces] = 0
-    path.skipped[vertex.on_proxy] = ALL
     if scene.shows_geometry:
         path.self_emission[bounces] = dr.select(vertex.shown, vertex.owner, NONE)
+        path.on_lamp[bounces] = vertex.owner
+        path.bent_by[bounces] = 0
         path.skipped[bounces | null] |= owners.bit(vertex.owner, active)
     path.depth[bounces] += 1
     path.crossings[null] += 1
@@ -122,7 +121,7 @@ def scatter(
         freed = bounces & vertex.shown & owners.scatters(vertex.owner, bounces)
         path.depth_freed[freed & (path.depth_freed < MAX_CROSSINGS)] += 1
     path.valid_ray |= bounces
-    path.active = _next_ray(scene, path, vertex, scattering, null)
+    path.active = _next_ray(scene, path, vertex, scattering, null) & ~(bounces & vertex.last)
     return bounces
 
 
@@ -137,10 +136,9 @@ def _next_ray(
         direction[vertex.active_medium] = scattering.phase_wo
     leaks = vertex.opaque & ~null & on_opposite_sides(si, arriving, direction)
     path.ray = spawn(si, direction, scene.extent)
-    on_surface = vertex.on_proxy | vertex.active_surface
     if scene.has_media:
-        path.medium = medium_paths.medium_after(si, path.ray.d, path.medium, on_surface)
-    return (on_surface | vertex.active_medium) & ~leaks
+        path.medium = medium_paths.medium_after(si, path.ray.d, path.medium, vertex.active_surface)
+    return (vertex.active_surface | vertex.active_medium) & ~leaks
 
 
 def roulette(path: PathState, bounces: mi.Bool, rr_depth: int, sampler: mi.Sampler) -> None:

@@ -23,7 +23,6 @@ from lumitree.rendering.asset_cache import open_asset, open_field
 from lumitree.rendering.asset_flux import axis_intensities
 from lumitree.rendering.sampling.emitter_sampling import SAMPLING_KINDS
 from lumitree.rendering.sampling.proxy import BoxProxy
-from lumitree.rendering.sampling.self_lights import SelfLights
 
 Appearance = Literal["field", "geometry"]
 APPEARANCES: tuple[Appearance, ...] = get_args(Appearance)
@@ -75,9 +74,8 @@ class Placed:
         self.shows_geometry = shows_geometry(asset, appearance)
         # Whether something else of the scene is in the box, and gets light there.
         self.holds = False
-        # Of the geometry: what emits, and numbers of the shapes and of the media that scatter
+        # Of the geometry: numbers of the shapes and of the media that scatter
         # (`objects.shape_number` and `medium_number`).
-        self.self_lights = SelfLights()
         self.own_shapes: list[int] = []
         self.own_media: list[int] = []
         scene_from_local = options.get("to_world", np.eye(4)) @ asset.frame.world_from_local
@@ -116,6 +114,13 @@ class Placed:
         """M [3, 3] and c [3]; M (p - c) of a point p of the scene is in [-1, 1]³ in the proxy."""
         side = self._scale * (self.asset.frame.half_extents + self._margin)
         return self._axes.T / side[:, None], self._origin
+
+    @property
+    def traces_straight_light(self) -> bool:
+        """Whether its straight light is that of its own emitters, and not of the light field."""
+        light_field = self.asset.light_field
+        stored = light_field is None or not light_field.has_straight_light
+        return self.shows_geometry and not stored and self.sampling == "emission"
 
     @property
     def dims(self) -> bool:

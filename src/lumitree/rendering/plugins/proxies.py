@@ -3,7 +3,8 @@
 A null shape that every ray may meet costs more time than a lamp's light. Rays are traced in
 packets, and a packet takes as long as its longest ray: one ray that crosses a proxy is traced three
 times. So `DividedScene` divides a scene into its surfaces, which are traced, and its proxies, which
-rays find in a tree of their own.
+rays find in a tree of their own. Nothing traces the scene itself: under OptiX a kernel may trace
+one scene only.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import mitsuba as mi
 import numpy as np
 
 from lumitree.core.device import on_device
-from lumitree.lamp.scene_shapes import shape_groups
+from lumitree.lamp.scene_shapes import build_again, shape_groups
 from lumitree.rendering.placement_checks import holds_objects, overlapping
 from lumitree.rendering.plugins.box_tree import NODE_NUMBERS, box_tree
 from lumitree.rendering.plugins.deferred_emitter import DeferredEmitter
@@ -29,8 +30,8 @@ from lumitree.rendering.sampling.proxy import safe_inverse, slab
 # Null surfaces that a path, or a shadow ray, crosses before it ends: a bound, so that every kernel
 # ends whatever the geometry.
 MAX_CROSSINGS = 1024
-# What stands for no emitter, and the bits of all.
-NONE = ALL = 0xFFFFFFFF
+# What stands for no emitter.
+NONE = 0xFFFFFFFF
 # Packets of four numbers of a proxy on the device: a point, a matrix, whether it gives light to
 # what is in it, `sampled_alone_radius`, the number of its bit in masks of lamps, and 0; and of a
 # node of the tree.
@@ -46,11 +47,9 @@ class Proxies:
 
     Args:
         emitters: `mi.Scene.emitters()`; those that are no `DeferredEmitter` are left out.
-        traced: whether the proxies are traced as shapes, so that only rays that start in them are
-            found here.
     """
 
-    def __init__(self, emitters: list[mi.Emitter], *, traced: bool = False) -> None:
+    def __init__(self, emitters: list[mi.Emitter]) -> None:
         rows, indices, boxes, dims = [], [], [], False
         for index, emitter in enumerate(emitters):
             if isinstance(emitter, DeferredEmitter):
@@ -63,8 +62,7 @@ class Proxies:
                 indices.append(index)
                 dims |= emitter.placed.dims
         # Whether there are any, and whether any has a transmittance below 1.
-        self.exist, self.dim = bool(rows), dims and not traced
-        self._traced = traced
+        self.exist, self.dim = bool(rows), dims
         if rows:
             # On the device: numbers of lamps do not compile new kernels.
             nodes = box_tree(*np.moveaxis(np.array(boxes), 1, 0))
@@ -179,8 +177,6 @@ class Proxies:
         crosses = entry <= dr.min(far)
         begins = (dr.max(dr.abs(o)) <= 1) & ((holds > 0) | starts)
         begins &= (skipped & (mi.UInt32(1) << mi.UInt32(bit))) == 0
-        if self._traced:
-            return mi.Float(0), active & begins
         return dr.select(begins, 0, entry), active & (begins | (crosses & (entry > 0)))
 
 
@@ -192,20 +188,21 @@ class Divided(NamedTuple):
         proxies: those that it leaves out.
         room: what is traced where the own surfaces of a lamp do not block: the surfaces without
             the lamps' own; None if no lamp needs it.
-        overlap: whether lamps whose surfaces are traced have boxes that overlap. Then `room` has
-            the surfaces of all lamps, and the surfaces of one are passed by.
+        passes: whether `room` is `surfaces`, and rays pass the surfaces of the lamp by one after
+            another: where lamps whose surfaces are traced have boxes that overlap, or where a
+            kernel may trace one scene only.
         owners: whose surfaces are whose.
     """
 
     surfaces: mi.Scene
     proxies: Proxies
     room: mi.Scene | None
-    overlap: bool
+    passes: bool
     owners: Owners
 
-    def ends(
+    def end(
         self, ray: mi.Ray3f, distance: mi.Float, lamp: mi.UInt32, ahead: mi.UInt32, active: mi.Bool
-    ) -> tuple[mi.Float, mi.Float]:
+    ) -> mi.Float:
         """Where a ray ends for a lamp whose proxy it enters, as `DeferredEmitter.eval_entered`.
 
         Args:
@@ -217,14 +214,14 @@ class Divided(NamedTuple):
         if self.room is not None:
             # What else is in the box may be behind the lamp's own surface.
             other = self._behind(self.room, ray, lamp, active & mine)
-        return dr.select(mine, distance, dr.inf), dr.select(mine, other, distance)
+        return dr.select(mine, other, distance)
 
     @dr.syntax
     def _behind(self, room: mi.Scene, ray: mi.Ray3f, lamp: mi.UInt32, active: mi.Bool) -> mi.Float:
         """Distance of the first surface that does not belong to a lamp."""
         pi = room.ray_intersect_preliminary(ray, False, active)
         distance = mi.Float(pi.t)
-        if dr.hint(self.overlap, mode="scalar"):
+        if dr.hint(self.passes, mode="scalar"):
             ray, passed, crossings = mi.Ray3f(ray), mi.Float(0), mi.UInt32(0)
             own = active & pi.is_valid() & (self.owners.of(pi.shape, active) == lamp)
             while own:
@@ -308,6 +305,8 @@ class DividedScene:
         self._geometry: list[list[Any]] = []
         self._surfaces: mi.Scene | None = None
         self._room: mi.Scene | None = None
+        # The surfaces that belong to no lamp, and whether lamps overlap.
+        self._others: list[mi.Shape] = []
         self._overlap = False
         # Lamps that were asked to light what is in their boxes.
         self._asked: weakref.WeakSet[Placed] = weakref.WeakSet()
@@ -315,15 +314,12 @@ class DividedScene:
     def of(self, scene: mi.Scene) -> Divided:
         """The surfaces that rays of a scene are traced against, and the proxies that it leaves out.
 
-        The scene itself, if it has no proxies or cannot be divided: under OptiX one kernel traces
-        one scene. Then there is no `room`, and what is in a box throws shadows only beyond the cell
-        that light comes from, and only for receivers in or near the box.
+        The surfaces are the scene itself if it has no proxies.
         """
         shapes, emitters = scene.shapes(), scene.emitters()
         surfaces = [s for s in shapes if not isinstance(s.emitter(), DeferredEmitter)]
         lamps = {i: each for i, each in enumerate(emitters) if isinstance(each, DeferredEmitter)}
         owners = Owners(lamps)
-        on_gpu = dr.backend_v(mi.Float) == dr.JitBackend.CUDA
         if not lamps:
             return Divided(scene, Proxies([]), None, False, owners)
         groups = shape_groups(scene)
@@ -331,23 +327,25 @@ class DividedScene:
         same = surfaces == self._shapes and all(map(_same, geometry, self._geometry))
         # Another scene may have the same surfaces and other lamps.
         if not (same and all(lamp.placed in self._asked for lamp in lamps.values())):
-            others = [shape for shape in surfaces if shape_number(shape) not in owners.owner]
-            if not same and not on_gpu:
-                self._surfaces = _scene_of([*groups, *surfaces])
-                self._room = _scene_of([*groups, *others]) if owners.exist else None
+            if not same:
+                self._surfaces = _scene_of(groups, surfaces)
+            self._room = None
             self._shapes, self._geometry = surfaces, geometry
-            # Shadow rays that cross a traced proxy are dimmed by its field, even on the way to the
-            # lamp's own light.
-            lighting = [lamp for lamp in lamps.values() if not (on_gpu and lamp.placed.dims)]
-            self._overlap = _light_insides(lighting, others)
+            self._others = [each for each in surfaces if shape_number(each) not in owners.owner]
+            self._overlap = _light_insides(list(lamps.values()), self._others)
             self._asked = weakref.WeakSet(lamp.placed for lamp in lamps.values())
-        if on_gpu:
-            return Divided(scene, Proxies(emitters, traced=True), None, False, owners)
         assert self._surfaces is not None
-        room = self._surfaces if self._overlap else self._room
-        if not any(lamp.placed.holds for lamp in lamps.values()):
-            room = None
-        return Divided(self._surfaces, Proxies(emitters), room, self._overlap, owners)
+        room, passes = None, self._overlap or _one_scene_only()
+        if owners.exist and any(lamp.placed.holds for lamp in lamps.values()):
+            if not passes and self._room is None:
+                self._room = _scene_of(groups, self._others)
+            room = self._surfaces if passes else self._room
+        return Divided(self._surfaces, Proxies(emitters), room, passes, owners)
+
+
+def _one_scene_only() -> bool:
+    """Whether a kernel may trace one scene only."""
+    return dr.backend_v(mi.Float) == dr.JitBackend.CUDA
 
 
 def _light_insides(lamps: list[DeferredEmitter], room: list[mi.Shape]) -> bool:
@@ -362,9 +360,10 @@ def _light_insides(lamps: list[DeferredEmitter], room: list[mi.Shape]) -> bool:
     return overlap
 
 
-def _scene_of(shapes: list[mi.Shape]) -> mi.Scene:
-    """A scene of shapes."""
-    described: dict[str, Any] = {f"shape_{i}": shape for i, shape in enumerate(shapes)}
+def _scene_of(groups: list[mi.Shape], shapes: list[mi.Shape]) -> mi.Scene:
+    """A scene of shapes, and of the groups that its instances repeat."""
+    build_again(groups)
+    described: dict[str, Any] = {f"shape_{i}": each for i, each in enumerate([*groups, *shapes])}
     emitters = [shape.emitter() for shape in shapes if shape.is_emitter()]
     if emitters and not any(emitter.sampling_weight() for emitter in emitters):
         # Mitsuba accepts no scene whose emitters are never sampled. Nothing is asked of it.

@@ -28,7 +28,7 @@ def visible(
     For a length `beyond` after the point, surfaces of the room block, but not the sampled
     lamp's, whose index in the scene is `target`.
     """
-    surfaces, proxies, room, overlap, _ = scene.divided
+    surfaces, proxies, room, passes, _ = scene.divided
     # Like Mitsuba's, a shadow ray ends before its goal; and by no less than it starts after its
     # origin, so that rounding does not bring it to the goal.
     margin = dr.maximum(ds.dist * mi.math.ShadowEpsilon, offset(si, scene.extent))
@@ -45,7 +45,7 @@ def visible(
         goal = dr.fma(beyond, ds.d, rest.o)
         none = dr.zeros(mi.MediumPtr)
         through *= _transmittance(
-            scene, room, overlap, target, mi.Float(0), rest, goal, none, onwards
+            scene, room, passes, target, mi.Float(0), rest, goal, none, onwards
         )
     if dr.hint(proxies.dim, mode="scalar"):
         crossed = left & (dr.max(through) > 0)

@@ -5,5 +5,5 @@ cells are sampled (`light_field`; inside the lamp's box `light_inside`) from an 
 cell of the receiver (`cell_table`, `receiver_cells`, `alias_table`). Of a field, leaves are sampled
 (`emitter_sampling`, `light_leaves`); a tenth of the samples is uniform over the bounding sphere, so
 the density is nowhere 0 where light may come from, and no weight exceeds 40 π times the radiance.
-`self_lights` samples what a lamp's own surfaces get of its light.
+`straight_light` samples a lamp's own emitters.
 """

@@ -9,6 +9,7 @@ Symbols
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator
 from typing import Protocol
 
@@ -19,7 +20,6 @@ from numpy.typing import NDArray
 
 from lumitree.core.alias_table import AliasTable
 from lumitree.core.device import parameter
-from lumitree.rendering.sampling.light_cells import LightCells
 
 # Part of the samples of a cell that is by flux alone.
 _FLUX_FRACTION = 0.1
@@ -42,7 +42,7 @@ class Receivers(Protocol):
 
 def cell_table(
     receivers: Receivers,
-    cells: LightCells,
+    corners: mi.Float,
     intensity: Intensity,
     scale: mi.Float,
     flux: NDArray[np.float64],
@@ -50,26 +50,30 @@ def cell_table(
 ) -> AliasTable:
     """A table with a row for each cell of receivers, a multiple of 16, and a column for each cell.
 
+    One more row is by flux alone.
+
     Args:
+        corners: mi.Float [C × 2 × 3], lower and upper corner of each.
         scale: the largest intensity.
         softening: distance that is added to that from a cell to a receiver, in square: for
             receivers among the cells. Others, at all distances, count alike with 0.
     """
-    maker = _Maker(receivers, cells, intensity, scale, flux, softening)
-    return AliasTable(maker.rows(), receivers.count, len(flux))
+    maker = _Maker(receivers, corners, intensity, scale, flux, softening)
+    rows = itertools.chain(maker.rows(), [flux[None]])
+    return AliasTable(rows, receivers.count + 1, len(flux))
 
 
 class _Maker:
     def __init__(
         self,
         receivers: Receivers,
-        cells: LightCells,
+        corners: mi.Float,
         intensity: Intensity,
         scale: mi.Float,
         flux: NDArray[np.float64],
         softening: float,
     ) -> None:
-        self._receivers, self._cells, self._intensity = receivers, cells, intensity
+        self._receivers, self._corners, self._intensity = receivers, corners, intensity
         self._scale, self._shares = scale, flux / flux.sum()
         self._soft, self._softening = softening > 0, parameter(mi.Float, softening**2)
         # Number of cells, as a number on the device.
@@ -103,8 +107,8 @@ class _Maker:
         """
         index = dr.arange(mi.UInt32, _ROWS_AT_ONCE * self._count)
         row, cell = index // self._opaque_count, index % self._opaque_count
-        lower = dr.gather(mi.Point3f, self._cells.corners, 2 * cell)
-        upper = dr.gather(mi.Point3f, self._cells.corners, 2 * cell + 1)
+        lower = dr.gather(mi.Point3f, self._corners, 2 * cell)
+        upper = dr.gather(mi.Point3f, self._corners, 2 * cell + 1)
         rng = mi.PCG32(dr.width(index), initstate=dr.opaque(mi.UInt64, seed))
         done, total = mi.UInt32(0), mi.Float(0)
         # In a loop, since the table is made of some ten million terms, which need not be stored.

@@ -15,10 +15,9 @@ from lumitree.octree.field import Field
 from lumitree.octree.traversal import Span
 from lumitree.rendering.sampling.emitter_sampling import (
     INSIDE,
-    NEAR,
+    OUTSIDE,
     DirectionSampler,
     EmitterSampler,
-    RayEnds,
     Sampling,
     Target,
 )
@@ -26,7 +25,6 @@ from lumitree.rendering.sampling.light_field import device_light_field
 from lumitree.rendering.sampling.light_inside import InsideLight, inside_light
 from lumitree.rendering.sampling.light_leaves import light_leaves
 from lumitree.rendering.sampling.proxy import BoxProxy, cone_pdf
-from lumitree.rendering.sampling.samples import scrambled
 
 # Where the BSDF's density is below this part of a uniform density over the lamp's bounding sphere,
 # next-event estimation alone finds the light. The sphere is enlarged by the second number, and
@@ -39,19 +37,18 @@ def emitter_sampler(
     field: Field,
     proxy: BoxProxy,
     sampling: Sampling = "emission",
-    *,
-    blocked: bool = False,
+    bent: bool = False,
 ) -> DirectionSampler:
     """Sampler of what an asset emits; arguments as for `EmitterSampler` and `lumitree.shape`.
 
-    With `blocked`, the lamp's own surfaces are in the scene, and block its light.
+    With `bent`, what receivers get is its bent light alone, since its straight light is traced.
     """
     uniform = sampling == "uniform"
     if asset.light_field is None:
         return EmitterSampler(proxy, field, None if uniform else light_leaves(field))
     if uniform:
         return DividedSampler(asset, field, proxy)
-    return CellSampler(asset, field, blocked=blocked)
+    return CellSampler(asset, field, bent=bent)
 
 
 def look(
@@ -172,58 +169,32 @@ class CellSampler(DividedSampler):
 
     includes_mis = True
 
-    def __init__(self, asset: Asset, field: Field, *, blocked: bool = False) -> None:
+    def __init__(self, asset: Asset, field: Field, *, bent: bool = False) -> None:
         super().__init__(asset, field)
-        self._blocked = blocked
+        self._stored = device_light_field(asset, bent=True) if bent else self._light
         self._inside: InsideLight | None = None
         self._radius = parameter(mi.Float, float(np.linalg.norm(asset.frame.half_extents)))
 
     def light_inside(self) -> None:
         """Make what receivers inside the box need."""
-        self._inside = inside_light(self._asset, blocked=self._blocked)
-
-    def is_summed(self, x: mi.Point3f) -> mi.Bool:
-        """Whether the lamp's own surfaces, if they are in the scene, do not block there."""
-        return self._light.blocked_part(x) <= 0 if self._blocked else mi.Bool(True)
+        self._inside = inside_light(self._asset, self._stored)
 
     def irradiance(
         self, x: mi.Point3f, n: mi.Vector3f, random: mi.PCG32, active: mi.Bool
     ) -> mi.Color3f:
-        """Irradiance of receivers outside the box that nothing else shadows."""
-        return self._light.emitted.irradiance(x, n, random, active)
+        """Irradiance of receivers outside the box that nothing shadows, without straight light."""
+        return self._stored.emitted.irradiance(x, n, random, active)
 
     def sample_target(
         self, x: mi.Point3f, sample: mi.Point2f, active: mi.Bool, inside: mi.Bool
     ) -> tuple[mi.Vector3f, Target]:
         """Direction towards a point of a cell, and that point."""
-        near = mi.Bool(False)
-        if self._blocked:
-            # Other bits of the same sample, which the point does not depend on.
-            near = scrambled(mi.Point2f(sample.y, sample.x)).z < self._light.blocked_part(x)
-        direction, target = self._light.sample_point(x, sample, near, active & ~inside)
+        direction, target = self._stored.sample_point(x, sample, active & ~inside)
         if self._inside is not None:
-            point, cell, pmf = self._inside.sample_point(x, sample, active & inside)
-            offset = mi.Vector3f(point - x)
-            distance = dr.norm(offset)
-            direction = dr.select(inside, offset / distance, direction)
-            target = dr.select(inside, Target.inside(distance, cell, pmf), target)
+            other_direction, other = self._inside.sample_point(x, sample, active & inside)
+            direction = dr.select(inside, other_direction, direction)
+            target = dr.select(inside, other, target)
         return direction, target
-
-    def border(
-        self, x: mi.Point3f, direction: mi.Vector3f, target: Target, active: mi.Bool
-    ) -> mi.Float:
-        """Distance up to which the lamp's own surfaces block; 0 where they do not."""
-        cell, place = target.cell, target.place
-        border = mi.Float(0)
-        if self._blocked:
-            near = active & (place == NEAR)
-            border = dr.select(near, self._light.cells.border(x, direction, cell, near), border)
-        if self._inside is not None and self._inside.blocked:
-            inside = active & (place == INSIDE)
-            border = dr.select(
-                inside, self._inside.cells.border(x, direction, cell, inside), border
-            )
-        return border
 
     def eval_target(
         self,
@@ -235,17 +206,17 @@ class CellSampler(DividedSampler):
         emitter_pmf: mi.Float,
         active: mi.Bool,
     ) -> tuple[mi.Color3f, mi.Float]:
-        """Light of the sampled cell times its weight of multiple importance sampling.
+        """Light of the sampled point times its weight of multiple importance sampling.
 
         The density is 1 where `active`, because the weight is included.
         """
-        far, cell, pmf, place = target.distance, target.cell, target.pmf, target.place
+        place = target.place
         other = dr.select(self._left_out(x, bsdf_pdf), 0, bsdf_pdf / (self._radius * emitter_pmf))
-        weight = self._light.contribution(target, other, active & (place != INSIDE))
+        outside = active & (place == OUTSIDE)
+        weight = self._stored.contribution(target, other, outside)
         if self._inside is not None:
-            weight += self._inside.contribution(
-                direction, far, cell, pmf, other, active & (place == INSIDE)
-            )
+            inside = active & (place == INSIDE)
+            weight += self._inside.contribution(direction, target, other, inside)
         return weight, dr.select(active, mi.Float(1), 0)
 
     def eval_hit(
@@ -259,24 +230,19 @@ class CellSampler(DividedSampler):
         emitter_pmf: mi.Float,
         active: mi.Bool,
         inside: mi.Bool,
-        ends: RayEnds,
+        end: mi.Float,
     ) -> tuple[mi.Color3f, mi.Float, mi.Float]:
         """Light of all cells on the ray times their weights, transmittance, and a density of 0."""
         gets = active & ~((emitter_pmf > 0) & self._left_out(x, bsdf_pdf))
         if self._asset.num_leaves:
             gets &= ~mi.Bool(specular_chain)
         inverse = dr.select(emitter_pmf > 0, self._radius * emitter_pmf / bsdf_pdf, 0)
-        blocked = mi.Bool(False)
-        if self._blocked:
-            # A random number that the path has not used.
-            choice = scrambled(mi.Point2f(direction.x, direction.y)).z
-            blocked = gets & (choice < self._light.blocked_part(x))
-        radiance = self._light.received(
-            x, entry, direction, distance, inverse, blocked, ends, gets & ~inside
+        radiance = self._stored.received(
+            x, entry, direction, distance, inverse, end, gets & ~inside
         )
         if self._inside is not None:
-            radiance += self._inside.received(x, entry, direction, inverse, ends, gets & inside)
-        span = mi.Float(0), ends.other
+            radiance += self._inside.received(x, entry, direction, inverse, end, gets & inside)
+        span = mi.Float(0), end
         radiance, through = self._divide(radiance, entry, direction, active, specular_chain, span)
         return radiance, through, mi.Float(0)
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, Protocol, get_args
+from typing import Literal, Protocol, get_args
 
 import drjit as dr
 import mitsuba as mi
@@ -34,8 +34,8 @@ Sampling = Literal["emission", "uniform"]
 SAMPLING_KINDS: tuple[Sampling, ...] = get_args(Sampling)
 # Part of the samples that is taken uniformly.
 UNIFORM_FRACTION = 0.1
-# Where a receiver is: outside the box, near it, where the lamp's own surfaces block; or inside.
-OUTSIDE, NEAR, INSIDE = range(3)
+# What is sampled: bent light (or all) of a receiver outside the box or inside; or straight light.
+OUTSIDE, INSIDE, STRAIGHT = range(3)
 
 
 @dataclass
@@ -47,11 +47,15 @@ class Target:
 
     Attributes:
         distance: of the point from the receiver, local units.
-        cell: index of the cell of the light field that the point is in.
+        cell: index of the cell that the point is in: of the light field, or of the light inside.
         pmf: probability with which this cell is sampled.
-        place: where the receiver is: `OUTSIDE`, `NEAR` or `INSIDE`.
+        place: `OUTSIDE`, `INSIDE` or `STRAIGHT`.
         bins: bin of the cell towards the receiver; unused for one inside.
         factor: on the point's light, for the points that it was chosen of.
+        light: straight light of the point, over the density with which it is sampled.
+        total: estimate of the light of all points that the receiver may get, for the choice between
+            bent and straight light.
+        density: of the point of straight light, per steradian, for multiple importance sampling.
     """
 
     distance: mi.Float
@@ -60,34 +64,16 @@ class Target:
     place: mi.UInt32
     bins: mi.UInt32
     factor: mi.Float
+    light: mi.Color3f
+    total: mi.Float
+    density: mi.Float
 
     @classmethod
     def at(cls, distance: mi.Float) -> Target:
         """Target at a distance, of a sampler that does not sample cells."""
-        none = mi.UInt32(0)
-        return cls(distance, none, mi.Float(0), mi.UInt32(OUTSIDE), none, mi.Float(1))
-
-    @classmethod
-    def inside(cls, distance: mi.Float, cell: mi.UInt32, pmf: mi.Float) -> Target:
-        """Target of a receiver in the lamp's box."""
-        return cls(distance, cell, pmf, mi.UInt32(INSIDE), mi.UInt32(0), mi.Float(1))
-
-
-class RayEnds(NamedTuple):
-    """Where a ray through a lamp's box ends, from the point where it enters, local units.
-
-    Attributes:
-        own: distance of the first of the lamp's own surfaces, if they block. The cell in
-            which it is counts as a whole, as it does where a point of it is sampled.
-        other: distance of the first other surface.
-    """
-
-    own: mi.Float
-    other: mi.Float
-
-    def reached(self, start: mi.Float, blocked: mi.Bool, active: mi.Bool) -> mi.Bool:
-        """Whether the ray sees a cell that it enters at a distance `start`."""
-        return active & ~(blocked & (start > self.own))
+        none, no = mi.UInt32(0), mi.Float(0)
+        factor = mi.Float(1)
+        return cls(distance, none, no, mi.UInt32(OUTSIDE), none, factor, mi.Color3f(0), no, no)
 
 
 class DirectionSampler(Protocol):
@@ -147,23 +133,16 @@ class DirectionSampler(Protocol):
         direction, distance = self.sample(x, sample, active)
         return direction, Target.at(distance)
 
-    def border(
-        self, x: mi.Point3f, direction: mi.Vector3f, target: Target, active: mi.Bool
-    ) -> mi.Float:
-        """Distance within which the lamp's own surfaces block; 0 where they do not."""
-        return mi.Float(0)
-
     def light_inside(self) -> None:
         """Prepare light for receivers inside the box."""
-
-    def is_summed(self, x: mi.Point3f) -> mi.Bool:
-        """Whether `irradiance` knows what receivers outside the box get."""
-        return mi.Bool(False)
 
     def irradiance(
         self, x: mi.Point3f, n: mi.Vector3f, random: mi.PCG32, active: mi.Bool
     ) -> mi.Color3f:
-        """Irradiance of receivers of `is_summed`, as `EmittedLight.irradiance`."""
+        """Irradiance of receivers outside the box, as `EmittedLight.irradiance`.
+
+        Of a sampler with `includes_mis`, of light of targets of the place `OUTSIDE`; 0 of others.
+        """
         return mi.Color3f(0)
 
     def eval_target(
@@ -200,15 +179,16 @@ class DirectionSampler(Protocol):
         emitter_pmf: mi.Float,
         active: mi.Bool,
         inside: mi.Bool,
-        ends: RayEnds,
+        end: mi.Float,
     ) -> tuple[mi.Color3f, mi.Float, mi.Float]:
         """Radiance, transmittance and density of a ray that has hit the proxy.
 
         Args:
             bsdf_pdf, emitter_pmf: as for `eval_target`; a probability of 0 if next-event
                 estimation could not have found the direction.
+            end: distance from `entry` of the first surface that is not the lamp's own.
         """
-        span = mi.Float(0), ends.other
+        span = mi.Float(0), end
         return self.eval(
             x, entry, direction, distance, active, specular_chain=specular_chain, span=span
         )

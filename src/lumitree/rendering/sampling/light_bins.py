@@ -10,17 +10,17 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.light_field import (
+from lumitree.asset.light_field import LightField
+from lumitree.asset.light_inside import parts_of_ending
+from lumitree.asset.lit_bins import by_coarse_bin, by_fine_bin, dense
+from lumitree.asset.packed_colours import (
     EXPONENT_OF_ONE,
     EXPONENT_SHIFT,
     MANTISSA,
     MANTISSA_SHIFTS,
-    LightField,
     pack_lit,
     unpack,
 )
-from lumitree.asset.light_inside import parts_of_ending
-from lumitree.asset.lit_bins import by_coarse_bin, by_fine_bin, dense
 from lumitree.core.octahedral import bin_of, octahedral, solid_angles
 from lumitree.core.photometry import luminance
 from lumitree.octree.build import morton

@@ -27,11 +27,9 @@ Symbols
     b   what stands for the density of a direction sampled by the BSDF, per steradian and length.
         With the balance heuristic a sampled point has the weight I f / (V (a r² + b)), and a point
         of a ray that was sampled by the BSDF has a part b / (a r² + b) of its light
-    J, κ    see `asset.light_inside`
 
-Where the lamp's own surfaces are in the scene, receivers near the box get (I + J) κ of cells that
-they see past these surfaces, and nothing of others: the same on average, but with sharp shadows.
-From the box to `_NEAR` beyond it, a decreasing part of the samples is of this kind.
+Where the lamp's own emitters are in the scene, its straight light is traced (`straight_light`), and
+the field is that of the bent light alone.
 """
 
 from __future__ import annotations
@@ -46,27 +44,15 @@ from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
 from lumitree.asset.light_field import LightField
-from lumitree.asset.lit_bins import dense
-from lumitree.core.device import on_device, parameter
-from lumitree.core.octahedral import bin_of, coarse_bin
-from lumitree.octree.build import morton
+from lumitree.core.device import parameter
+from lumitree.core.octahedral import bin_of
 from lumitree.rendering.sampling.cell_table import cell_table
 from lumitree.rendering.sampling.emitted_light import EmittedLight, emitted_light
-from lumitree.rendering.sampling.emitter_sampling import (
-    NEAR,
-    OUTSIDE,
-    UNIFORM_FRACTION,
-    RayEnds,
-    Target,
-)
-from lumitree.rendering.sampling.light_bins import (
-    ending_by_bin,
-    smooth_bin,
-    unpacked,
-)
+from lumitree.rendering.sampling.emitter_sampling import UNIFORM_FRACTION, Target
+from lumitree.rendering.sampling.light_bins import smooth_bin
 from lumitree.rendering.sampling.proxy import cone_pdf, sample_cone
 from lumitree.rendering.sampling.receiver_cells import ReceiverCells
-from lumitree.rendering.sampling.samples import divide_sample, scrambled
+from lumitree.rendering.sampling.samples import divide_sample, resample, scrambled
 
 # Cells of receivers, see `receiver_cells`.
 _RESOLUTION, _NUM_SHELLS, _SHELL_WIDTH = 16, 4, 0.3
@@ -74,23 +60,26 @@ _RESOLUTION, _NUM_SHELLS, _SHELL_WIDTH = 16, 4, 0.3
 _MAX_ENTRIES = 1 << 24
 # Points that one is chosen of. With more, a sample takes longer than its noise is worth.
 _CANDIDATES = 4
-# Distance from the box, local units, up to which shadows of the lamp's own surfaces are sharp.
-_NEAR = 0.5
 
 _LIGHTS: weakref.WeakKeyDictionary[LightField, dict[tuple[object, ...], DeviceLightField]] = (
     weakref.WeakKeyDictionary()
 )
 
 
-def device_light_field(asset: Asset) -> DeviceLightField:
-    """Device copy of an asset's light field, shared by all instances of a lamp."""
+def device_light_field(asset: Asset, *, bent: bool = False) -> DeviceLightField:
+    """Device copy of an asset's light field, or of its bent light, shared by its instances."""
     assert asset.light_field is not None
-    lights, key = _LIGHTS.setdefault(asset.light_field, {}), (str(mi.variant()), asset.gain)
+    lights = _LIGHTS.setdefault(asset.light_field, {})
+    key = str(mi.variant()), asset.gain, bent
     if key not in lights:
         # Mitsuba creates plugins in parallel: of two copies, the first is kept.
-        light = DeviceLightField(
-            asset.light_field, asset.frame.half_extents, asset.gain, emitted_light(asset)
-        )
+        half_extents = asset.frame.half_extents
+        if bent:
+            light = DeviceLightField(asset.light_field.bent_light, half_extents, asset.gain)
+        else:
+            light = DeviceLightField(
+                asset.light_field, half_extents, asset.gain, emitted_light(asset)
+            )
         return lights.setdefault(key, light)
     return lights[key]
 
@@ -110,8 +99,9 @@ class DeviceLightField:
         gain: tuple[float, float, float] = (1.0, 1.0, 1.0),
         emitted: EmittedLight | None = None,
     ) -> None:
-        # What receivers inside the box get, by whether the lamp's surfaces block (`light_inside`).
-        self.inside: dict[bool, Any] = {}
+        # What receivers inside the box get (`light_inside`).
+        self.inside: Any = None
+        self.field = weakref.ref(field)
         self.emitted = emitted or EmittedLight(field, half_extents, gain)
         self.cells, self.scale = self.emitted.cells, self.emitted.scale
         count, self._resolution = len(field.cells), field.resolution
@@ -119,31 +109,12 @@ class DeviceLightField:
         resolution = _RESOLUTION
         while resolution > 2 and resolution**2 * _NUM_SHELLS * count > _MAX_ENTRIES:
             resolution //= 2
-        self._diffuse = dr.rcp(np.pi * self._radius)
+        self.diffuse = dr.rcp(np.pi * self._radius)
         self._around = ReceiverCells(half_extents, resolution, _NUM_SHELLS, _SHELL_WIDTH)
-        self._half = parameter(mi.Vector3f, *half_extents.tolist())
         by_cell = self.emitted.by_cell
-        self._table = cell_table(self._around, self.cells, self._towards, self.scale, by_cell)
-        # J and κ of all bins, for receivers outside the box.
-        self._factors = None
-        if (inside := field.inside) is not None:
-            rows = np.searchsorted(morton(inside.cells), morton(field.cells))
-            far = inside.visibility_curves[:, -1][inside.visibility]
-            lit, bins = inside.lit, (field.resolution // 2) ** 2
-            self._factors = on_device(mi.Float, dense(lit, bins, far)[rows])
-            packed, scale = ending_by_bin(field)
-            self._ending = on_device(mi.UInt32, packed[rows])
-            self._ending_scale = parameter(mi.Color3f, *(scale * each for each in gain))
-
-    def blocked_part(self, x: mi.Point3f) -> mi.Float:
-        """Part of the samples for receivers that the lamp's own surfaces block.
-
-        0 where it is not known how much they leave.
-        """
-        if self._factors is None:
-            return mi.Float(0)
-        beyond = dr.norm(dr.maximum(dr.abs(mi.Vector3f(x)) - self._half, 0))
-        return dr.maximum(1 - beyond / _NEAR, 0)
+        self._table = cell_table(
+            self._around, self.cells.corners, self._towards, self.scale, by_cell
+        )
 
     def sample(
         self, x: mi.Point3f, sample: mi.Point2f, active: mi.Bool | bool = True
@@ -199,18 +170,17 @@ class DeviceLightField:
         return radiance, dr.select(active, density, 0)
 
     def sample_point(
-        self, x: mi.Point3f, sample: mi.Point2f, near: mi.Bool, active: mi.Bool | bool = True
+        self,
+        x: mi.Point3f,
+        sample: mi.Point2f,
+        active: mi.Bool | bool = True,
     ) -> tuple[mi.Vector3f, Target]:
         """Direction towards a point of a cell, and the point: one of `_CANDIDATES`.
 
         Resampled importance sampling (Talbot et al. 2005): candidates come from the table, and one
         is chosen in proportion to what `contribution` has with a b of 1 / πR, about that of a
         diffuse surface; R is the radius of the lamp's bounding sphere. It counts for all, by their
-        mean. Where the lamp's own surfaces block, and the light is not that of I alone, the choice
-        is uniform.
-
-        Args:
-            near: whether the lamp's own surfaces block.
+        mean.
         """
         row = self._around.index(x)
         # Bits of the sample that the candidates do not depend on.
@@ -226,22 +196,19 @@ class DeviceLightField:
             bins = smooth_bin(-here, self._resolution)
             light = dr.sum(self.emitted.intensity(cell, bins, active))
             volume = dr.gather(mi.Float, self.cells.volume, cell, active)
-            density = chance * dr.squared_norm(here) + volume * self._diffuse
-            light = dr.select(near, 1, light / density)
+            density = chance * dr.squared_norm(here) + volume * self.diffuse
+            light /= density
             total += light
-            part = dr.select(total > 0, light / total, 0)
+            taken, choice = resample(choice, light, total)
             # The first one stays where no candidate sends light.
-            taken = (choice < part) | (candidate == 0)
-            rest = dr.select(choice < part, choice / part, (choice - part) / (1 - part))
-            choice = dr.minimum(rest, dr.one_minus_epsilon(mi.Float))
+            taken |= candidate == 0
             chosen = dr.select(taken, light, chosen)
             offset = dr.select(taken, here, offset)
             target.cell = dr.select(taken, cell, target.cell)
             target.pmf = dr.select(taken, chance, target.pmf)
             target.bins = dr.select(taken, bins, target.bins)
         target.factor = dr.select(chosen > 0, total / (_CANDIDATES * chosen), 0)
-        target.place = dr.select(near, mi.UInt32(NEAR), mi.UInt32(OUTSIDE))
-        target.distance = dr.norm(offset)
+        target.distance, target.total = dr.norm(offset), total / _CANDIDATES
         return offset / target.distance, target
 
     def contribution(
@@ -249,16 +216,13 @@ class DeviceLightField:
     ) -> mi.Color3f:
         """I / (V (a r² + b)) of a point of `sample_point`, times the factor of its choice.
 
-        Where the lamp's own surfaces block it is (I + J) κ in place of I.
-
         Args:
             other: b.
         """
         volume = dr.gather(mi.Float, self.cells.volume, target.cell, active)
         density = target.pmf * dr.square(target.distance) + other * volume
-        near = target.place == NEAR
-        light = self._light(target.cell, target.bins, near, active)
-        return dr.select(active, light * (target.factor / density), 0)
+        intensity = self.emitted.intensity(target.cell, target.bins, active)
+        return dr.select(active, intensity * (target.factor / density), 0)
 
     def received(
         self,
@@ -267,8 +231,7 @@ class DeviceLightField:
         direction: mi.Vector3f,
         distance: mi.Float,
         inverse: mi.Float,
-        blocked: mi.Bool,
-        ends: RayEnds,
+        end: mi.Float,
         active: mi.Bool | bool = True,
     ) -> mi.Color3f:
         """Part of the radiance from a direction that `contribution` leaves.
@@ -278,35 +241,22 @@ class DeviceLightField:
 
         Args:
             inverse: 1 / b; 0 for the whole radiance.
-            blocked: whether the lamp's own surfaces block: then it is of (I + J) κ.
+            end: distance from `entry` at which the ray ends.
         """
         row = self._around.index(x)
         shared = mi.Bool(active) & (inverse > 0)
         bins = smooth_bin(-direction, self._resolution, entry)
 
         def visit(state, cell, start, length, active):
-            active = ends.reached(start, blocked, active)
             near = start + distance
             inverse_volume = dr.rcp(dr.gather(mi.Float, self.cells.volume, cell, active))
             chance = self._table.probability(row, cell, active & shared)
             left = left_part(chance, inverse_volume, inverse, near, length)
-            light = self._light(cell, bins, blocked, active) * (left * inverse_volume)
-            return (state[0] + dr.select(active, light, 0),), active
+            radiance = self.emitted.intensity(cell, bins, active) * (left * inverse_volume)
+            return (state[0] + dr.select(active, radiance, 0),), active
 
-        state, span = (mi.Color3f(0),), (mi.Float(0), ends.other)
+        state, span = (mi.Color3f(0),), (mi.Float(0), end)
         return self.cells.octree.traverse(entry, direction, active, visit, state, span)[0]
-
-    def _light(self, cell, bins, blocked, active):
-        """I of a bin of a cell; where the lamp's own surfaces block, (I + J) κ."""
-        light = self.emitted.intensity(cell, bins, active)
-        if self._factors is None:
-            return light
-        blocked &= active
-        index = cell * self._resolution**2 + bins
-        ending = unpacked(dr.gather(mi.UInt32, self._ending, index, blocked))
-        index = cell * (self._resolution // 2) ** 2 + coarse_bin(bins, self._resolution)
-        factor = dr.gather(mi.Float, self._factors, index, blocked)
-        return dr.select(blocked, (light + self._ending_scale * ending) * factor, light)
 
     def _towards(self, cell, offset, _distance):
         """Radiant intensity (mi.Color3f) of a cell in the direction of a mi.Vector3f."""

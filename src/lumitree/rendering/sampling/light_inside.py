@@ -1,12 +1,11 @@
 """The light field for receivers inside the lamp's box.
 
 As `light_field`, whose symbols hold, for receivers among the cells. What they get of a cell
-depends on their distance (`asset.light_inside`), and where the lamp's own surfaces are in the
-scene, on what these leave free.
+depends on their distance (`asset.light_inside`).
 
 Symbols
     C   cells that light leaves         Q   bins of direction a side, half of R
-    J, s, κ     see `asset.light_inside`
+    J, s    see `asset.light_inside`
 """
 
 from __future__ import annotations
@@ -19,14 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
-from lumitree.asset.light_field import LightField, unpack
+from lumitree.asset.light_field import LightField
 from lumitree.asset.lit_bins import dense
+from lumitree.asset.packed_colours import unpack
 from lumitree.core.device import on_device, parameter
 from lumitree.core.octahedral import coarse_bin, coarse_solid_angles, solid_angles
 from lumitree.core.photometry import luminance
 from lumitree.octree.build import morton
 from lumitree.rendering.sampling.cell_table import cell_table
-from lumitree.rendering.sampling.emitter_sampling import RayEnds
+from lumitree.rendering.sampling.emitter_sampling import INSIDE, Target
 from lumitree.rendering.sampling.light_bins import (
     ending_by_bin,
     smooth_bin,
@@ -35,7 +35,6 @@ from lumitree.rendering.sampling.light_bins import (
 from lumitree.rendering.sampling.light_cells import LightCells
 from lumitree.rendering.sampling.light_field import (
     DeviceLightField,
-    device_light_field,
     left_part,
 )
 from lumitree.rendering.sampling.samples import scrambled
@@ -49,19 +48,16 @@ _STEPS = 64
 _NONE = 0xFFFFFFFF
 
 
-def inside_light(asset: Asset, *, blocked: bool) -> InsideLight:
+def inside_light(asset: Asset, outside: DeviceLightField) -> InsideLight:
     """Light that an asset sends to receivers inside its box, shared by all instances of a lamp.
 
-    With `blocked`, the lamp's own surfaces are in the scene.
+    `outside` is what it sends to others, from the same field.
     """
-    assert asset.light_field is not None
-    outside = device_light_field(asset)
-    if blocked not in outside.inside:
-        half_extents = asset.frame.half_extents
-        outside.inside[blocked] = InsideLight(
-            asset.light_field, half_extents, outside, asset.gain, blocked=blocked
-        )
-    return outside.inside[blocked]
+    if outside.inside is None:
+        field = outside.field()
+        assert field is not None
+        outside.inside = InsideLight(field, asset.frame.half_extents, outside, asset.gain)
+    return outside.inside
 
 
 class InsideReceivers:
@@ -99,12 +95,8 @@ class InsideLight:
         half_extents: NDArray[np.float64],
         outside: DeviceLightField,
         gain: tuple[float, float, float],
-        *,
-        blocked: bool,
     ) -> None:
         inside, self._outside = field.inside, outside
-        # Without factors, it is not known what the surfaces leave.
-        self.blocked = blocked and inside is not None
         found = field.cells if inside is None else inside.cells
         count = len(found)
         self._resolution, self._coarse = field.resolution, field.resolution // 2
@@ -120,21 +112,19 @@ class InsideLight:
             bins = self._coarse**2
             packed, scale = ending_by_bin(field)
             self._packed = on_device(mi.UInt32, packed)
-            codes = inside.reach.astype(np.uint32) | inside.visibility.astype(np.uint32) << 8
-            self._codes = on_device(mi.UInt32, dense(inside.lit, bins, codes))
+            self._rows_of_reach = on_device(mi.UInt32, dense(inside.lit, bins, inside.reach))
             self._gain = parameter(mi.Color3f, *(scale * factor for factor in gain))
             # By the square root of distance.
             self._steps = parameter(mi.Float, (_STEPS - 1) / math.sqrt(inside.distances[-1]))
             at = inside.distances[-1] * np.linspace(0, 1, _STEPS) ** 2
             self._reach = _resampled(inside.reach_curves, inside.distances, at)
-            self._visibility = _resampled(inside.visibility_curves, inside.distances, at)
             ending = dense(inside.lit, bins, luminance(unpack(inside.intensity)))
             flux += inside.scale * (ending * coarse_solid_angles(self._resolution)).sum(axis=1)
         many = _RESOLUTION**3 * count > _MAX_ENTRIES
         self._receivers = InsideReceivers(half_extents, _RESOLUTION // 2 if many else _RESOLUTION)
         self._table = cell_table(
             self._receivers,
-            self.cells,
+            self.cells.corners,
             self._towards,
             outside.scale,
             # A cell may have no light but what ends nearer than the first distance.
@@ -144,23 +134,29 @@ class InsideLight:
 
     def sample_point(
         self, x: mi.Point3f, sample: mi.Point2f, active: mi.Bool
-    ) -> tuple[mi.Point3f, mi.UInt32, mi.Float]:
+    ) -> tuple[mi.Vector3f, Target]:
+        """As `DeviceLightField.sample_point`, of one candidate."""
         cell, chance = self._table.sample(self._receivers.index(x), sample.x, active)
-        return self.cells.point(cell, scrambled(sample), active), cell, chance
+        offset = mi.Vector3f(self.cells.point(cell, scrambled(sample), active) - x)
+        target = Target.at(dr.norm(offset))
+        target.cell, target.pmf, target.place = cell, chance, mi.UInt32(INSIDE)
+        target.total = dr.sum(self._light(cell, -offset, target.distance, active))
+        volume = dr.gather(mi.Float, self.cells.volume, cell, active)
+        target.total /= chance * dr.squared_norm(offset) + volume * self._outside.diffuse
+        return offset / target.distance, target
 
     def contribution(
         self,
         direction: mi.Vector3f,
-        distance: mi.Float,
-        cell: mi.UInt32,
-        chance: mi.Float,
+        target: Target,
         other: mi.Float,
         active: mi.Bool,
     ) -> mi.Color3f:
-        volume = dr.gather(mi.Float, self.cells.volume, cell, active)
-        density = chance * dr.square(distance) + other * volume
-        light = self._light(cell, -direction, distance, active, blocked=self.blocked)
-        return dr.select(active & (density > 0), light / density, 0)
+        """As `DeviceLightField.contribution`, of a unit direction."""
+        volume = dr.gather(mi.Float, self.cells.volume, target.cell, active)
+        density = target.pmf * dr.square(target.distance) + other * volume
+        light = self._light(target.cell, -direction, target.distance, active)
+        return dr.select(active & (density > 0), light * (target.factor / density), 0)
 
     def received(
         self,
@@ -168,7 +164,7 @@ class InsideLight:
         entry: mi.Point3f,
         direction: mi.Vector3f,
         inverse: mi.Float,
-        ends: RayEnds,
+        end: mi.Float,
         active: mi.Bool,
     ) -> mi.Color3f:
         """As `DeviceLightField.received`, for a ray from `entry` in the box on.
@@ -180,22 +176,21 @@ class InsideLight:
         distance = dr.norm(entry - x)
 
         def visit(state, cell, start, length, active):
-            active = ends.reached(start, mi.Bool(self.blocked), active)
             near = start + distance
             inverse_volume = dr.rcp(dr.gather(mi.Float, self.cells.volume, cell, active))
             chance = self._table.probability(row, cell, active & shared)
             left = left_part(chance, inverse_volume, inverse, near, length)
             middle = near + length / 2
-            light = self._light(cell, -direction, middle, active, blocked=self.blocked)
+            light = self._light(cell, -direction, middle, active)
             return (state[0] + dr.select(active, light * (left * inverse_volume), 0),), active
 
-        state, span = (mi.Color3f(0),), (mi.Float(0), ends.other)
+        state, span = (mi.Color3f(0),), (mi.Float(0), end)
         return self.cells.octree.traverse(entry, direction, active, visit, state, span)[0]
 
     def _towards(self, cell, offset, distance):
-        return self._light(cell, offset, distance, mi.Bool(True), blocked=False)
+        return self._light(cell, offset, distance, mi.Bool(True))
 
-    def _light(self, cell, direction, distance, active, *, blocked):
+    def _light(self, cell, direction, distance, active):
         """Radiant intensity (mi.Color3f) of a cell in a direction (mi.Vector3f), at a distance."""
         row = dr.gather(mi.UInt32, self._rows, cell, active)
         index = smooth_bin(direction, self._resolution)
@@ -204,20 +199,14 @@ class InsideLight:
         if not self._has_curves:
             return light
         packed = dr.gather(mi.UInt32, self._packed, cell * self._resolution**2 + index, active)
-        ending = self._gain * unpacked(packed)
         entry = cell * self._coarse**2 + coarse_bin(index, self._resolution)
-        code = dr.gather(mi.UInt32, self._codes, entry, active)
+        reach = dr.gather(mi.UInt32, self._rows_of_reach, entry, active)
+        # Linear between two columns of its curve.
         at = dr.minimum(dr.sqrt(distance) * self._steps, _STEPS - 1.001)
-        if blocked:
-            return (light + ending) * self._curve(self._visibility, code >> 8, at, active)
-        return light + ending * self._curve(self._reach, code & 255, at, active)
-
-    def _curve(self, curves, row, at, active):
-        """A row of a table of curves at a place, which is between two columns."""
         step = mi.UInt32(at)
-        first = row * _STEPS + step
-        low = dr.gather(mi.Float, curves, first, active)
-        return dr.lerp(low, dr.gather(mi.Float, curves, first + 1, active), at - mi.Float(step))
+        first = reach * _STEPS + step
+        low, high = (dr.gather(mi.Float, self._reach, first + i, active) for i in (0, 1))
+        return light + self._gain * unpacked(packed) * dr.lerp(low, high, at - mi.Float(step))
 
 
 def _resampled(

@@ -1,4 +1,4 @@
-"""Use of random samples in more than one place, and of tables of cumulated chances."""
+"""Use of random samples in more than one place, tables of cumulated chances, and weights of MIS."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import drjit as dr
 import mitsuba as mi
 
 
-def divide_sample(sample: mi.Float, fraction: float) -> tuple[mi.Bool, mi.Float]:
+def divide_sample(sample: mi.Float, fraction: mi.Float | float) -> tuple[mi.Bool, mi.Float]:
     """Whether a sample in [0, 1) is below `fraction`, and a sample in [0, 1) for either case."""
     below = sample < fraction
     rest = dr.select(below, sample / fraction, (sample - fraction) / (1 - fraction))
@@ -19,6 +19,21 @@ def scrambled(sample: mi.Point2f) -> mi.Point3f:
     u, v = mi.sample_tea_32(x, y)
     w, _ = mi.sample_tea_32(v, u)
     return mi.Point3f(mi.Float(u >> 8), mi.Float(v >> 8), mi.Float(w >> 8)) * 2.0**-24
+
+
+def resample(choice: mi.Float, light: mi.Float, total: mi.Float) -> tuple[mi.Bool, mi.Float]:
+    """Whether a candidate of resampled importance sampling takes the place of those before.
+
+    Args:
+        choice: number in [0, 1).
+        light: weight of the candidate.
+        total: of it and of those before.
+
+    Returns:
+        With it a new number in [0, 1).
+    """
+    taken, rest = divide_sample(choice, dr.select(total > 0, light / total, 0))
+    return taken, rest
 
 
 def sample_row(
@@ -34,3 +49,9 @@ def sample_row(
         return inside & (dr.gather(mi.Float, cumulated, first + index, inside) <= sample)
 
     return dr.minimum(dr.binary_search(0, bound - 1, below), length - 1)
+
+
+def mis_weight(pdf: mi.Float, other_pdf: mi.Float) -> mi.Float:
+    """Power heuristic; 0 where neither density is positive, as in `path`."""
+    weight = dr.square(pdf) / (dr.square(pdf) + dr.square(other_pdf))
+    return dr.select(dr.isfinite(weight), weight, 0)

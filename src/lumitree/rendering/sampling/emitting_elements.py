@@ -1,0 +1,294 @@
+"""The surfaces of a lamp's geometry that emit, in elements, and points of them on the device.
+
+An element is a triangle, a disk, a cylinder or a sphere, or a part of one that is large or whose
+radiance varies. A point of it is o + w₁ e₁ + w₂ e₂ + w₃ e₃, where the weights are of its kind.
+
+Symbols
+    F   elements of a surface before they are divided       E   elements of all surfaces
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.core.device import on_device
+
+# Kinds of elements.
+_FLAT, _DISK, _CYLINDER, _SPHERE = range(4)
+_KINDS = {"disk": _DISK, "cylinder": _CYLINDER, "sphere": _SPHERE}
+_RECTANGLE = np.array([[[-1, -1, 0], [1, -1, 0], [1, 1, 0]], [[-1, -1, 0], [1, 1, 0], [-1, 1, 0]]])
+# Mitsuba's texture coordinates of the corners of a triangle that has none.
+_BARYCENTRIC = np.array([[0, 0], [1, 0], [0, 1]])
+# Side of an element, about, local units; and how many there are if surfaces are divided, about.
+_SIDE, _ELEMENTS = 1 / 16, 1 << 15
+# Parts of cylinders and spheres along both sides of the unit square, at least.
+_CURVED = 8
+# Points of each element at which a radiance that varies is evaluated.
+_POINTS = 16
+# Packets of four numbers of an element, and of what differs between its corners.
+_PACKETS, _CORNERS = 5, 3
+
+# Radiance at points of a surface, which uses `si.uv` alone.
+Texture = Callable[["mi.SurfaceInteraction3f", "mi.Bool"], "mi.Color3f"]
+
+
+@dataclasses.dataclass(frozen=True)
+class EmittingSurface:
+    """A shape of the geometry that emits, in the local frame.
+
+    Attributes:
+        frame: [F, 4, 3] o, e₁, e₂ and e₃ of its elements; e₃ of flat ones is the unit normal.
+        kind: of its elements.
+        inwards: whether normals of cylinders and spheres point inwards.
+        radiance: [3]; or a texture.
+        normals: [F, 3, 3] shading normals of the corners of triangles; None if they are flat.
+        texcoords: [F, 3, 2] of their corners, if there is a texture.
+    """
+
+    frame: NDArray[np.float64]
+    kind: int
+    inwards: bool
+    radiance: NDArray[np.float64] | Texture
+    normals: NDArray[np.float64] | None = None
+    texcoords: NDArray[np.float64] | None = None
+
+    @property
+    def areas(self) -> NDArray[np.float64]:
+        """[F] of its elements."""
+        first, second, third = (np.linalg.norm(self.frame[:, i], axis=1) for i in (1, 2, 3))
+        across = np.linalg.norm(np.cross(self.frame[:, 1], self.frame[:, 2]), axis=1)
+        if self.kind == _CYLINDER:
+            return 2 * math.pi * first * third
+        if self.kind == _SPHERE:
+            return 4 * math.pi * first * second
+        return across * (math.pi if self.kind == _DISK else 0.5)
+
+    @property
+    def varies(self) -> bool:
+        """Whether its radiance differs from point to point."""
+        return not isinstance(self.radiance, np.ndarray)
+
+
+def emitting_surface(
+    shape: dict[str, Any],
+    mesh: dict[str, NDArray[Any]] | None,
+    radiance: NDArray[np.float64] | Texture,
+    matrix: NDArray[np.float64],
+) -> EmittingSurface:
+    """A surface of a shape of `AssetGeometry`; `matrix` [4, 4] leads to the local frame."""
+    kind = _FLAT if mesh is not None else _KINDS.get(shape["type"], _FLAT)
+    corner: dict[str, Any] = {"normals": None, "texcoords": None}
+    if mesh is None:
+        matrix = matrix @ np.array(shape["to_world"], np.float64)
+    if kind != _FLAT:
+        frame = np.concatenate([matrix[:3, 3:], matrix[:3, :3]], axis=1).T[None]
+        if kind == _DISK:
+            frame[:, 3] = np.cross(frame[:, 1], frame[:, 2]) * np.sign(np.linalg.det(matrix))
+            frame[:, 3] /= np.linalg.norm(frame[:, 3]) * (-1 if shape["flipped"] else 1)
+        return EmittingSurface(frame, kind, shape["flipped"], radiance)
+    if mesh is None:
+        corners = _RECTANGLE @ matrix[:3, :3].T + matrix[:3, 3]
+        corner["texcoords"] = (_RECTANGLE[:, :, :2] + 1) / 2
+        mirrored = np.linalg.det(matrix) < 0
+    else:
+        faces, mirrored = mesh["faces"], False
+        corners = (mesh["vertices"] @ matrix[:3, :3].T + matrix[:3, 3])[faces]
+        corner = {n: mesh[n][faces].astype(np.float64) if len(mesh[n]) else None for n in corner}
+        if corner["normals"] is not None:
+            sign = -1 if shape["flipped"] else 1
+            corner["normals"] = sign * corner["normals"] @ matrix[:3, :3].T
+    o, e1, e2 = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normal = np.cross(e1, e2) * (-1 if shape["flipped"] != mirrored else 1)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    return EmittingSurface(np.stack([o, e1, e2, normal], axis=1), kind, False, radiance, **corner)
+
+
+@dataclasses.dataclass
+class ElementPoint:
+    """A point of an element, local units (a PyTree of Dr.Jit)."""
+
+    # fmt: off
+    p: mi.Point3f
+    n: mi.Vector3f          # True normal
+    facing: mi.Vector3f     # Shading normal, on whose side the element emits
+    area: mi.Float          # Of the element
+    density: mi.Float       # Of `Elements.densities`
+    radiance: mi.Color3f
+    # fmt: on
+
+
+class Elements:
+    """The elements of some surfaces.
+
+    Args:
+        surfaces: at least one.
+
+    Attributes:
+        area: [E].
+        surface: [E] index of the surface.
+        radiance: [E, 3] mean radiance.
+        middle, normal: [E, 3].
+        densities: [N] of the surfaces: what they emit, of all, over their area.
+    """
+
+    def __init__(self, surfaces: Sequence[EmittingSurface]) -> None:
+        sides = _sides(surfaces)
+        # These select the code of a kernel.
+        self._textures = list[Texture]()
+        self._kinds = {each.kind for each in surfaces}
+        self._divided = any((each > 1).any() for each in sides)
+        self._has_normals = any(each.normals is not None for each in surfaces)
+        blocks = [self._block(*each) for each in zip(surfaces, sides, strict=True)]
+        self._numbers = {
+            name: np.concatenate([each[name] for each in blocks]) for name in blocks[0]
+        }
+        self.surface = np.repeat(np.arange(len(blocks)), [len(each["table"]) for each in blocks])
+        table = self._numbers["table"]
+        self.area: NDArray[np.float64] = table[:, 0, 3].copy()
+        self._upload()
+        entry, active = dr.arange(mi.UInt32, len(table)), mi.Bool(True)
+        middle = self.point(entry, mi.Point2f(0.5, 0.5), active)
+        self.middle, self.normal = (np.array(each, np.float64).T for each in (middle.p, middle.n))
+        self.radiance = self._mean_radiance(len(table)) if self._textures else table[:, 4, :3]
+        emitted = np.bincount(self.surface, self.area * self.radiance.mean(axis=1))
+        areas = np.maximum(np.bincount(self.surface, self.area), 1e-300)
+        every = emitted.sum()
+        self.densities = emitted / every / areas if every > 0 else np.ones(len(areas)) / areas.sum()
+        table[:, 4, 3] = self.densities[self.surface]
+
+    def sort(self, order: NDArray[np.integer]) -> None:
+        """Bring the elements on the device into an order; the attributes keep theirs."""
+        self._numbers = {name: values[order] for name, values in self._numbers.items()}
+        self._upload()
+
+    def point(self, entry: mi.UInt32, place: mi.Point2f, active: mi.Bool) -> ElementPoint:
+        """A point of an element, uniform by area for a place in the unit square."""
+        packets = [
+            dr.gather(mi.Vector4f, self._elements, _PACKETS * entry + i, active)
+            for i in range(_PACKETS)
+        ]
+        o, e1, e2, e3, colour = (mi.Vector3f(each.x, each.y, each.z) for each in packets)
+        kind, part, side = (mi.Int32(each.w) for each in packets[1:4])
+        inwards, kind = kind < 0, dr.abs(kind) - 1
+        if self._divided:
+            row = part // dr.maximum(side, 1)
+            place += mi.Point2f(mi.Float(part - row * side), mi.Float(row))
+            place = dr.minimum(place / mi.Float(side), dr.one_minus_epsilon(mi.Float))
+        weights = self._weights(kind, place)
+        along = weights.x * e1 + weights.y * e2
+        point, normal = o + along, e3
+        if self._kinds & {_CYLINDER, _SPHERE}:
+            curved = (kind == _CYLINDER) | (kind == _SPHERE)
+            point += dr.select(curved, weights.z, 0) * e3
+            along += dr.select(kind == _SPHERE, weights.z, 0) * e3
+            along = dr.normalize(dr.select(inwards, -along, along))
+            normal = dr.select(curved, along, normal)
+        facing, radiance = mi.Vector3f(normal), mi.Color3f(colour)
+        corners = 1 - weights.x - weights.y, weights.x, weights.y
+        if self._has_normals:
+            shading = self._at_corners(self._normals, entry, corners, active)
+            facing = dr.select(kind == _FLAT, shading, facing)
+        if self._textures:
+            uv = self._at_corners(self._texcoords, entry, corners, active)
+            texture = mi.UInt32(dr.gather(mi.Float, self._texcoords, 12 * entry + 3, active))
+            si = dr.zeros(mi.SurfaceInteraction3f, dr.width(entry))
+            si.uv = dr.select(kind == _FLAT, mi.Point2f(uv.x, uv.y), _coordinates(kind, weights))
+            calls = [lambda si, on, given: given]
+            calls += [
+                lambda si, on, given, each=each: mi.Color3f(each(si, on)) for each in self._textures
+            ]
+            radiance = dr.switch(texture, calls, si, mi.Bool(active), radiance)
+        return ElementPoint(
+            mi.Point3f(point), mi.Vector3f(normal), facing, packets[0].w, packets[4].w, radiance
+        )
+
+    def _weights(self, kind: mi.Int32, place: mi.Point2f) -> mi.Vector3f:
+        """The weights of a point of an element, uniform by area for a place in the unit square."""
+        triangle = mi.warp.square_to_uniform_triangle(place)
+        weights = mi.Vector3f(triangle.x, triangle.y, 0)
+        if _DISK in self._kinds:
+            disk = mi.warp.square_to_uniform_disk_concentric(place)
+            weights = dr.select(kind == _DISK, mi.Vector3f(disk.x, disk.y, 0), weights)
+        if _CYLINDER in self._kinds:
+            sine, cosine = dr.sincos(2 * math.pi * place.x)
+            weights = dr.select(kind == _CYLINDER, mi.Vector3f(cosine, sine, place.y), weights)
+        if _SPHERE in self._kinds:
+            sphere = mi.warp.square_to_uniform_sphere(place)
+            weights = dr.select(kind == _SPHERE, mi.Vector3f(sphere), weights)
+        return weights
+
+    def _at_corners(self, table, entry, weights, active):
+        """What is linear between the corners of triangles (mi.Vector3f)."""
+        total = mi.Vector3f(0)
+        for corner, weight in enumerate(weights):
+            packet = dr.gather(mi.Vector4f, table, _CORNERS * entry + corner, active)
+            total += weight * mi.Vector3f(packet.x, packet.y, packet.z)
+        return total
+
+    def _block(self, surface: EmittingSurface, side: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+        """Numbers of the elements of a surface [F], each divided into side² parts."""
+        count = len(surface.frame)
+        table = np.zeros((count, _PACKETS, 4))
+        table[:, :4, :3], table[:, 0, 3] = surface.frame, surface.areas / side**2
+        table[:, 1, 3] = (surface.kind + 1) * (-1 if surface.inwards else 1)
+        table[:, 3, 3] = side
+        normals, texcoords = np.zeros((2, count, _CORNERS, 4))
+        normals[..., :3] = surface.frame[:, None, 3] if surface.normals is None else surface.normals
+        if isinstance(surface.radiance, np.ndarray):
+            table[:, 4, :3] = surface.radiance
+        else:
+            self._textures.append(surface.radiance)
+            texcoords[:, 0, 3] = len(self._textures)
+            own = surface.texcoords
+            texcoords[..., :2] = _BARYCENTRIC if own is None else own
+        numbers = {"table": table, "normals": normals, "texcoords": texcoords}
+        parts = side**2
+        numbers = {name: np.repeat(each, parts, axis=0) for name, each in numbers.items()}
+        first = np.repeat(np.cumsum(parts) - parts, parts)
+        numbers["table"][:, 2, 3] = np.arange(len(first)) - first
+        return numbers
+
+    def _upload(self) -> None:
+        numbers = self._numbers
+        self._elements = on_device(mi.Float, numbers["table"])
+        self._normals = on_device(mi.Float, numbers["normals"]) if self._has_normals else None
+        self._texcoords = on_device(mi.Float, numbers["texcoords"]) if self._textures else None
+
+    def _mean_radiance(self, count: int) -> NDArray[np.float64]:
+        """[E, 3] mean over some points of each element."""
+        entry, number = dr.meshgrid(dr.arange(mi.UInt32, count), dr.arange(mi.UInt32, _POINTS))
+        # An additive recurrence covers the unit square evenly (Roberts 2018).
+        place = mi.Point2f(0.7548776662466927, 0.5698402909980532) * (mi.Float(number) + 0.5)
+        radiance = self.point(entry, place - dr.floor(place), mi.Bool(True)).radiance
+        found = np.array(radiance, np.float64).T.reshape(_POINTS, count, 3).mean(axis=0)
+        return np.maximum(np.nan_to_num(found), 0)
+
+
+def _coordinates(kind: mi.Int32, weights: mi.Vector3f) -> mi.Point2f:
+    """Texture coordinates of a point of a primitive, as Mitsuba has them."""
+    turn = dr.atan2(weights.y, weights.x) * dr.inv_two_pi
+    turn = dr.select(turn < 0, turn + 1, turn)
+    radius = dr.norm(mi.Vector2f(weights.x, weights.y))
+    uv = dr.select(kind == _DISK, mi.Point2f(radius, turn), mi.Point2f(turn, weights.z))
+    return dr.select(kind == _SPHERE, mi.Point2f(turn, dr.safe_acos(weights.z) / dr.pi), uv)
+
+
+def _sides(surfaces: Sequence[EmittingSurface]) -> list[NDArray[np.int64]]:
+    """Parts [F] along both sides of the unit square of the elements of each surface."""
+    varying = sum(len(each.frame) for each in surfaces if each.varies)
+    finest = max(math.isqrt(_ELEMENTS // max(varying, 1)), 1)
+    wanted = []
+    for each in surfaces:
+        least = max(finest if each.varies else 1, 1 if each.kind in (_FLAT, _DISK) else _CURVED)
+        wanted.append(np.maximum(np.sqrt(each.areas) / _SIDE, least))
+    total = sum((each**2).sum() for each in wanted)
+    less = min(1.0, math.sqrt(_ELEMENTS / total))
+    return [np.maximum(np.ceil(less * each), 1).astype(np.int64) for each in wanted]

@@ -1,0 +1,285 @@
+"""Straight light: points of a lamp's own emitters, whose light reaches a receiver without a vertex.
+
+The light field says where to look: emitters are sampled by the straight light that it has of them
+in the direction of the receiver. The geometry, which is in the scene, says what is there: a shadow
+ray decides whether the light arrives.
+
+Elements that are near each other are a cluster. A cluster is sampled first, and then an element of
+it by what it sends in a direction, so that few samples are on a side that is turned away.
+
+Symbols
+    E   elements, in the order of their clusters        K   clusters
+    R   bins of direction a side of the light field     B   bins of direction for elements
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from lumitree.asset.light_field import LightField
+from lumitree.asset.packed_colours import unpack
+from lumitree.core.alias_table import alias_row
+from lumitree.core.device import on_device, parameter
+from lumitree.core.octahedral import bin_of, middle_directions
+from lumitree.octree.build import morton
+from lumitree.rendering.sampling.cell_table import cell_table
+from lumitree.rendering.sampling.emitter_sampling import STRAIGHT, Target
+from lumitree.rendering.sampling.emitting_elements import Elements, EmittingSurface
+from lumitree.rendering.sampling.light_bins import smooth_bin
+from lumitree.rendering.sampling.receiver_cells import ReceiverCells
+from lumitree.rendering.sampling.samples import resample, scrambled
+
+# Clusters at most, the depth of the finest grid whose cells they are, and how many are candidates.
+_CLUSTERS, _DEPTH, _CANDIDATES = 16, 5, 2
+# Part of what emitters would send if nothing were in the way that is added to the light field's
+# straight light: paths may have missed some. A part of its mean over all directions is added, too.
+_MISSED, _ANYWHERE = 0.05, 0.2
+# Cells of receivers, see `receiver_cells`.
+_RECEIVERS = (16, 4, 0.3)
+# Bins of direction a side, and entries of the table of elements by direction: lamps with more
+# elements have fewer bins.
+_BINS, _MAX_ENTRIES = 16, 1 << 21
+# Parts of the mean radiance of its surface that is added to that of an element, since bright spots
+# may lie between its points; and of what an element sends on the average over the sphere that is
+# added in all directions, since receivers see the elements of a cluster from other directions.
+_FLOOR, _SPREAD = 0.2, 0.05
+
+
+class StraightLight:
+    """The emitters of a lamp.
+
+    Args:
+        surfaces: that emit, at least one.
+        field: light field of the lamp; None if there is none.
+        half_extents: of the lamp's box.
+        gain: [3] factors on R, G and B.
+
+    Attributes:
+        densities: [N] of the surfaces: density per local area that stands for that of their points
+            in weights of multiple importance sampling.
+        corners: mi.Float [K × 2 × 3], lower and upper corner of the middles of each cluster.
+    """
+
+    def __init__(
+        self,
+        surfaces: Sequence[EmittingSurface],
+        field: LightField | None,
+        half_extents: NDArray[np.float64],
+        gain: tuple[float, float, float],
+    ) -> None:
+        self._elements, self._gain = Elements(surfaces), parameter(mi.Color3f, *gain)
+        each, area = self._elements, self._elements.area
+        self.densities = each.densities
+        power = area * each.radiance.mean(axis=1)
+        mean = np.bincount(each.surface, power) / np.maximum(
+            np.bincount(each.surface, area), 1e-300
+        )
+        weight = power + _FLOOR * area * mean[each.surface]
+        cluster, order = _clusters(each.middle)
+        first = np.searchsorted(cluster[order], np.arange(cluster.max() + 2))
+        each.sort(order)
+        self._range = on_device(mi.UInt32, np.stack([first[:-1], np.diff(first)], axis=1))
+        self._bins, self._count = _BINS, parameter(mi.UInt32, len(area))
+        while self._bins > 1 and self._bins**2 * len(area) > _MAX_ENTRIES:
+            self._bins //= 2
+        towards = np.maximum(middle_directions(self._bins) @ each.normal.T, 0)
+        words, chance = _alias_rows((weight * (towards + _SPREAD / 4))[:, order], first)
+        self._alias, self._chance = on_device(mi.UInt32, words), on_device(mi.Float, chance)
+
+        flux = np.asarray(np.bincount(cluster, weight), np.float64)
+        flux += 0.0 if flux.any() else 1.0
+        middles = np.stack([np.bincount(cluster, weight * x) for x in each.middle.T], axis=1)
+        middles /= flux[:, None]
+        low, high = (
+            np.stack([f(x[order], first[:-1]) for x in each.middle.T], axis=1)
+            for f in (np.minimum.reduceat, np.maximum.reduceat)
+        )
+        self.corners = on_device(mi.Float, np.stack([low, high], axis=1))
+        size = ((high - low) ** 2).sum(axis=1) / 4
+        self._middles = on_device(mi.Float, np.concatenate([middles, size[:, None]], axis=1))
+        self._resolution = 8 if field is None else field.resolution
+        light = area * (each.radiance @ np.array(gain))
+        bare = _bare(cluster, light, each.normal, self._resolution)
+        seen = _MISSED * bare
+        if field is not None:
+            seen += _straight(field, middles, gain)
+        # What receivers outside the box get of clusters, and others.
+        self._intensity = on_device(mi.Float, np.stack([seen, bare]))
+        self._clusters = parameter(mi.UInt32, len(flux))
+        self._around = ReceiverCells(half_extents, *_RECEIVERS)
+        scale = parameter(mi.Float, max(float(bare.max()), 1e-30))
+        self._table = cell_table(self._around, self.corners, self._towards, scale, flux)
+
+    def _offset(self, x, cluster, active):
+        """From the middle of a cluster to a receiver, and half its diagonal in square."""
+        middle = dr.gather(mi.Vector4f, self._middles, cluster, active)
+        return mi.Vector3f(x - mi.Point3f(middle.x, middle.y, middle.z)), middle.w
+
+    def _towards(self, cluster, offset, _distance):
+        """What a cluster sends to receivers outside the box, in the direction of a mi.Vector3f."""
+        return mi.Color3f(self._sent(cluster, offset, mi.Bool(False), mi.Bool(True)))
+
+    def _sent(self, cluster, offset, inside, active):
+        """Radiant intensity of a cluster towards a receiver, about, summed over the channels."""
+        index = dr.select(inside, self._clusters, 0) + cluster
+        index = index * self._resolution**2 + smooth_bin(offset, self._resolution)
+        return dr.gather(mi.Float, self._intensity, index, active)
+
+    def choose(
+        self, x: mi.Point3f, sample: mi.Point2f, target: Target, active: mi.Bool, inside: mi.Bool
+    ) -> None:
+        """Let a target be one of straight light, with the probability of its part of the light.
+
+        Resampled importance sampling, as `DeviceLightField.sample_point`. Its clusters and the
+        points of stored light are candidates alike.
+
+        Args:
+            x: receiver, anywhere.
+            sample: in the unit square, as for the target.
+            target: of stored light; changed. A `total` of 0 for straight light alone.
+            inside: receivers in the box.
+        """
+        random = scrambled(mi.Point2f(1 - sample.x, sample.y))
+        choice = random.y
+        row = dr.select(inside, self._around.count, self._around.index(x))
+        total, chosen = mi.Float(0), mi.Float(0)
+        found, found_pmf = mi.UInt32(0), mi.Float(1)
+        for candidate in range(_CANDIDATES):
+            place = random.x + candidate / _CANDIDATES
+            place = dr.select(place < 1, place, place - 1)
+            cluster, pmf = self._table.sample(row, place, active)
+            offset, size = self._offset(x, cluster, active)
+            light = self._sent(cluster, offset, inside, active)
+            light /= pmf * (dr.squared_norm(offset) + size)
+            total += light
+            taken, choice = resample(choice, light, total)
+            chosen = dr.select(taken, light, chosen)
+            found = dr.select(taken, cluster, found)
+            found_pmf = dr.select(taken, pmf, found_pmf)
+        total = dr.select(active, total / _CANDIDATES, 0)
+        part = dr.select(total > 0, total / (total + target.total), 0)
+        straight = random.z < part
+        stored = target.factor / (1 - part)
+        target.factor = dr.select(straight, total / (chosen * part), stored)
+        target.cell = dr.select(straight, found, target.cell)
+        target.pmf = dr.select(straight, found_pmf, target.pmf)
+        target.place = dr.select(straight, mi.UInt32(STRAIGHT), target.place)
+
+    def sample(
+        self, x: mi.Point3f, target: Target, sample: mi.Point2f, active: mi.Bool
+    ) -> mi.Vector3f:
+        """Direction to a point of the cluster of a target, which gets the light of the point.
+
+        Args:
+            x: receiver, anywhere.
+            sample: in the unit square, as for the target.
+        """
+        random = scrambled(mi.Point2f(sample.x, 1 - sample.y))
+        place, cluster = mi.Point2f(random.y, random.z), target.cell
+        offset, _ = self._offset(x, cluster, active)
+        entry, chance = self._entry(cluster, offset, random.x, active)
+        active &= chance > 0
+        found = self._elements.point(entry, place, active)
+        offset = mi.Vector3f(found.p - x)
+        squared = dr.squared_norm(offset)
+        per_area = dr.abs(dr.dot(found.n, offset)) * dr.rsqrt(squared) / squared
+        front = active & (dr.dot(found.facing, offset) < 0) & (per_area > 0)
+        # Radiance over the density per steradian with which the point is sampled.
+        light = self._gain * found.radiance * (per_area * found.area / chance)
+        target.light = dr.select(front, light * (target.factor / target.pmf), 0)
+        target.density = dr.select(front, found.density / per_area, 0)
+        distance = dr.sqrt(squared)
+        target.distance = dr.select(active, distance, target.distance)
+        return offset / distance
+
+    def _entry(
+        self, cluster: mi.UInt32, towards: mi.Vector3f, sample: mi.Float, active: mi.Bool
+    ) -> tuple[mi.UInt32, mi.Float]:
+        """An element of a cluster by what it sends in a direction, and its probability."""
+        first = dr.gather(mi.UInt32, self._range, 2 * cluster, active)
+        count = dr.gather(mi.UInt32, self._range, 2 * cluster + 1, active)
+        row = bin_of(towards, self._bins, bevelled=False) * self._count + first
+        scaled = sample * mi.Float(count)
+        index = dr.minimum(mi.UInt32(scaled), count - 1)
+        word = dr.gather(mi.Vector2u, self._alias, row + index, active)
+        own = scaled - mi.Float(index) < dr.reinterpret_array(mi.Float, word.x)
+        index = dr.select(own, index, word.y)
+        chance = dr.gather(mi.Float, self._chance, row + index, active)
+        return first + index, chance
+
+
+def _clusters(middle: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Cluster of each element by its middle [E, 3], and the order of elements by clusters."""
+    depth = _DEPTH
+    while True:
+        side = 1 << depth
+        cell = np.clip(np.floor((middle + 1) * (side / 2)), 0, side - 1).astype(np.int64)
+        codes, cluster = np.unique(morton(cell), return_inverse=True)
+        if len(codes) <= _CLUSTERS:
+            return cluster, np.argsort(cluster, kind="stable")
+        depth -= 1
+
+
+def _bare(
+    cluster: NDArray[np.int64],
+    light: NDArray[np.float64],
+    normal: NDArray[np.float64],
+    resolution: int,
+) -> NDArray[np.float64]:
+    """Radiant intensity [K, R²] of clusters in bins of direction if nothing were in the way.
+
+    A part of it is the same in all directions.
+
+    Args:
+        light: [E] area times radiance of elements.
+    """
+    directions = middle_directions(resolution)
+    found = np.zeros((cluster.max() + 1, resolution**2))
+    for each in range(len(found)):
+        of = cluster == each
+        found[each] = light[of] @ np.maximum(normal[of] @ directions.T, 0)
+        found[each] += _ANYWHERE / 4 * light[of].sum()
+    return found
+
+
+def _straight(
+    field: LightField, middles: NDArray[np.float64], gain: tuple[float, float, float]
+) -> NDArray[np.float64]:
+    """Straight radiant intensity [K, R²] of clusters in a light field; `middles` [K, 3] of them."""
+    straight = field.scale * (unpack(field.intensity) - unpack(field.bent)) @ np.array(gain)
+    by_cell = field.dense(straight)
+    centres = (field.cells + 0.5) * (2 / (1 << field.depth)) - 1
+    nearest = KDTree(middles).query(centres)[1]
+    found = np.zeros((len(middles), by_cell.shape[1]))
+    np.add.at(found, nearest, by_cell)
+    return found
+
+
+def _alias_rows(
+    weight: NDArray[np.float64], first: NDArray[np.int64]
+) -> tuple[NDArray[np.uint32], NDArray[np.float32]]:
+    """Alias tables of the elements of each cluster, for weights [B, E].
+
+    Returns:
+        [B, E, 2] the bits of a threshold in float32, and an alias within the cluster; and [B, E]
+        probabilities.
+    """
+    words = np.zeros((*weight.shape, 2), np.uint32)
+    chance = np.zeros(weight.shape, np.float32)
+    for begin, end in itertools.pairwise(first):
+        for row, each in enumerate(weight[:, begin:end]):
+            if not each.any():
+                continue
+            threshold, alias = alias_row(each)
+            threshold = threshold.astype(np.float32)
+            words[row, begin:end, 0], words[row, begin:end, 1] = threshold.view(np.uint32), alias
+            rest = np.bincount(alias, 1.0 - threshold, end - begin)
+            chance[row, begin:end] = (threshold + rest) / (end - begin)
+    return words, chance
