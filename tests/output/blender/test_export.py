@@ -164,17 +164,11 @@ def test_the_command_prints_what_is_lost_and_writes_json(folder, capsys):
 @pytest.mark.slow
 @pytest.mark.parametrize("gain", [1.0, 2.5])
 def test_cycles_illuminates_the_room_as_mitsuba_does(mi, tmp_path, gain):
-    from benchmarks.cycles.room import (
-        LAMP_CENTRE,
-        PATH_DEPTH,
-        CyclesJob,
-        mitsuba_room,
-        region_masks,
-        render_cycles,
-    )
+    from benchmarks.cycles.room import CyclesJob, render_cycles
     from lumitree.rendering.passes import Budget, render_passes
     from lumitree.rendering.placement import Placement
     from lumitree.rendering.scene import PlacedLuminaire, place_luminaires
+    from support.cycles_room import LAMP_CENTRE, PATH_DEPTH, mitsuba_room, region_masks
 
     half, width, height = 0.02, 64, 48
     asset = light_field_asset(

@@ -36,7 +36,7 @@ def add_emission(scene: PathScene, path: PathState, hit: Hit) -> None:
     )
     weight = mis_weight(path.bsdf_pdf_prev, emitter_pdf * emitter_pmf)
     contribution = path.β * weight * light
-    path.add_light(scene, ds.emitter, contribution, path.specular_chain, seen)
+    path.add_light(scene, ds.emitter, contribution, path.specular_chain, seen, hit.shown)
 
 
 def sample_emitter(
@@ -88,4 +88,5 @@ def add_emitter_light(
     pdf *= emitter_pmf
     needs_no_mis = ds.delta | choice.sampled.includes_mis
     light *= weight * dr.select(needs_no_mis, 1, mis_weight(pdf, scattering.pdf_em))
-    path.add_light(scene, choice.emitter, light, mi.Bool(False), active)
+    own = choice.selected.index == vertex.owner
+    path.add_light(scene, choice.emitter, light, mi.Bool(False), active, own)

@@ -1,37 +1,16 @@
-"""Light between the arms of a chandelier on a chain, by cells of its light field.
+"""A chandelier of bare bulbs on a chain, and the irradiance between its arms and below it."""
 
-    python -m benchmarks tall_lamps
-
-A chandelier of bare bulbs hangs on chains of several lengths, which make its box longer. Irradiance
-of balls between its arms and of a plane below it, inside the box, with the explicit lamp and with
-bakes of 32, 64 and 128 cells along the box and of the number that a bake chooses (`chosen`). The
-reference is Mitsuba's direct light and path tracing. RMS differences are of the patches of all
-balls or of the plane, without the noise of the reference; the baseline is 32 cells.
-
-Writes `tall_lamps.md` and `tall_lamps.json`.
-"""
-
-import argparse
-import dataclasses
 import math
-import tempfile
-import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from benchmarks.common.options import add_seed
-from benchmarks.common.results import Results, notes
-from benchmarks.common.tables import Table
-from benchmarks.inside_box.patches import Floats
 from lumitree.core.photometry import LUMA
 
 ARMS, RADIUS = 6, 0.5
 BALL_RADIUS, BALL_PATCHES = 0.06, 64
 PLANE_HEIGHT, PLANE_POINTS = -0.3, 12
-CHAINS = (0.0, 1.0, 2.5)
-CELLS = (32, 64, 128, None)
 _SAMPLES, _BATCHES = 1 << 12, 8
 
 
@@ -65,7 +44,7 @@ def _rod(begin: Any, end: Any, radius: float, bsdf: dict[str, Any]) -> dict[str,
     return {"type": "cylinder", "p0": list(begin), "p1": list(end), "radius": radius, "bsdf": bsdf}
 
 
-def _around(turn: float, radius: float) -> Floats:
+def _around(turn: float, radius: float) -> NDArray[np.float64]:
     """[ARMS, 2] x and z of as many points about the axis, from a part of the angle between two."""
     angle = 2 * np.pi * (np.arange(ARMS) + turn) / ARMS
     return radius * np.column_stack([np.cos(angle), np.sin(angle)])
@@ -85,7 +64,7 @@ def balls() -> dict[str, Any]:
     return scene
 
 
-def receivers() -> dict[str, tuple[Floats, Floats]]:
+def receivers() -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
     """Points and normals [N, 3] of the balls and of the plane."""
     index = np.arange(BALL_PATCHES) + 0.5
     height, angle = 1 - 2 * index / BALL_PATCHES, np.pi * (1 + 5**0.5) * index
@@ -100,7 +79,9 @@ def receivers() -> dict[str, tuple[Floats, Floats]]:
     return {"balls": (points, np.tile(normals, (ARMS, 1))), "plane": (plane, up)}
 
 
-def explicit_irradiance(scene: Any, points: Floats, normals: Floats, seed: int) -> Floats:
+def explicit_irradiance(
+    scene: Any, points: NDArray[np.float64], normals: NDArray[np.float64], seed: int
+) -> NDArray[np.float64]:
     """Luminance-weighted irradiance [_BATCHES, N]: sampled emitters, and paths of other light."""
     import drjit as dr
     import mitsuba as mi
@@ -129,69 +110,7 @@ def explicit_irradiance(scene: Any, points: Floats, normals: Floats, seed: int) 
     return np.array(batches, np.float64)
 
 
-@dataclasses.dataclass(frozen=True)
-class TallBake:
-    """A bake of a chandelier.
-
-    Attributes:
-        cells: along the box.
-        megabytes, cpu_seconds: of the light field.
-        ratio, rms: baked over explicit irradiance, by kind of receivers.
-    """
-
-    cells: int
-    megabytes: float
-    cpu_seconds: float
-    ratio: dict[str, float]
-    rms: dict[str, float]
-
-
-def measure(
-    chain: float, cells: int | None, reference: dict[str, Floats], seed: int, **settings: int
-) -> TallBake:
-    """Bake a chandelier and compare it.
-
-    Args:
-        chain: its length, m.
-        cells: a power of two along the box; None for the number that a bake chooses.
-        reference: of `references`.
-        seed: root seed.
-        settings: of the light field.
-    """
-    import mitsuba as mi
-
-    import lumitree
-    from benchmarks.inside_box.received import received_irradiance
-    from lumitree.rendering.placement import Placement
-    from lumitree.rendering.scene import PlacedLuminaire, place_luminaires
-
-    depth = None if cells is None else cells.bit_length() - 1
-    config = lumitree.BakeConfig(
-        parts=("light", "geometry"),
-        irradiance_paths=0,
-        seed=seed,
-        light_field=lumitree.LightFieldConfig(depth=depth, **settings),
-    )
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "lamp.lumitree"
-        start = time.process_time()
-        asset = lumitree.bake(chandelier(chain), path, config, progress=None).asset
-        seconds, size = time.process_time() - start, path.stat().st_size
-    assert asset.light_field is not None
-    placed = PlacedLuminaire(Placement(asset))
-    scene = place_luminaires(mi.load_dict(balls()), [placed], appearance="geometry")
-    ratio, rms = {}, {}
-    for name, (points, normals) in receivers().items():
-        baked = received_irradiance(scene, points, normals, _SAMPLES, seed) @ np.array(LUMA)
-        mean = reference[name].mean(axis=0)
-        noise = (reference[name].var(axis=0, ddof=1) / _BATCHES).sum()
-        ratio[name] = float(baked.sum() / mean.sum())
-        square = max(((baked - mean) ** 2).sum() - noise, 0.0)
-        rms[name] = float(np.sqrt(square / (mean**2).sum()))
-    return TallBake(1 << asset.light_field.depth, size / 1e6, seconds, ratio, rms)
-
-
-def references(chain: float, seed: int) -> dict[str, Floats]:
+def references(chain: float, seed: int) -> dict[str, NDArray[np.float64]]:
     """Irradiance of the receivers with the explicit lamp."""
     import mitsuba as mi
 
@@ -202,48 +121,31 @@ def references(chain: float, seed: int) -> dict[str, Floats]:
     }
 
 
-def table(rows: list[dict[str, Any]]) -> Table:
-    """A line for each chain and bake."""
-    heads = ["chain", "cells", "balls: ratio", "RMS", "plane: ratio", "RMS", "file", "CPU time"]
-    heads += ["RMS of balls / 32 cells"]
-    lines, baseline = [], 1.0
-    for row in rows:
-        baseline = row["rms"]["balls"] if row["asked"] == CELLS[0] else baseline
-        lines.append(
-            [
-                f"{row['chain']:g} m",
-                f"{row['cells']}{' (chosen)' if row['asked'] is None else ''}",
-                *(
-                    text
-                    for name in ("balls", "plane")
-                    for text in (f"{row['ratio'][name]:.3f}", f"{100 * row['rms'][name]:.1f} %")
-                ),
-                f"{row['megabytes']:.2f} MB",
-                f"{row['cpu_seconds']:.1f} s",
-                f"{row['rms']['balls'] / baseline:.2f}",
-            ]
-        )
-    return Table(heads, lines, left=2)
+def irradiance_errors(
+    asset: Any, reference: dict[str, NDArray[np.float64]]
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Ratios of the means and RMS differences, baked over explicit, by kind of receivers.
 
+    The RMS is relative, without the noise of the reference.
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--chains", type=float, nargs="*", metavar="M", default=list(CHAINS))
-    parser.add_argument(
-        "--paths", type=int, metavar="N", default=1 << 21, help="light paths of a bake"
-    )
-    add_seed(parser)
+    Args:
+        asset: bake of a chandelier.
+        reference: of `references`.
+    """
+    import mitsuba as mi
 
+    from benchmarks.inside_box.received import received_irradiance
+    from lumitree.rendering.placement import Placement
+    from lumitree.rendering.scene import PlacedLuminaire, place_luminaires
 
-def run(options: argparse.Namespace) -> None:
-    results = Results(options, paths=options.paths, baseline="explicit lamp", clock="cpu")
-    rows = []
-    for chain in options.chains:
-        reference = references(chain, options.seed)
-        for cells in CELLS:
-            found = measure(chain, cells, reference, options.seed, paths=options.paths)
-            rows.append({"chain": chain, "asked": cells, **dataclasses.asdict(found)})
-    facts, found = results.setting(), table(rows)
-    results.write(
-        {"setting": facts, "bakes": rows}, f"# Tall lamps\n\n{found.markdown()}\n{notes(facts)}"
-    )
-    print(found.text())
+    placed = PlacedLuminaire(Placement(asset))
+    scene = place_luminaires(mi.load_dict(balls()), [placed], appearance="geometry")
+    ratio, rms = {}, {}
+    for name, (points, normals) in receivers().items():
+        baked = received_irradiance(scene, points, normals, _SAMPLES) @ np.array(LUMA)
+        mean = reference[name].mean(axis=0)
+        noise = (reference[name].var(axis=0, ddof=1) / _BATCHES).sum()
+        ratio[name] = float(baked.sum() / mean.sum())
+        square = max(((baked - mean) ** 2).sum() - noise, 0.0)
+        rms[name] = float(np.sqrt(square / (mean**2).sum()))
+    return ratio, rms

@@ -1,17 +1,13 @@
 """Errors of pictures that are only known with noise, and the time that a method needs for one.
 
-Symbols
-    x, r    a picture and the reference, [H, W, 3]
-    w       weights of the squared error, [H, W, 3]: 1 for the RMSE
-    K       independent pictures (batches) of equally many samples
+`K` is the number of independent pictures (batches) of equally many samples.
 """
 
 import dataclasses
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter
 
 from lumitree.core.images import srgb_from_linear
 from lumitree.core.photometry import LUMENS_PER_WATT, luminance
@@ -21,10 +17,8 @@ Floats = NDArray[np.floating]
 Kind = Literal["measured", "extrapolated"]
 
 TRIMMED_SHARE = 0.001
-# relMSE divides by r² plus this share of the picture's squared mean, so that the unit of radiance
-# does not matter.
-RELATIVE_FLOOR = 0.01
-WINDOW = 9
+# `rmse_display` that the paper's equal-quality comparison ends at (its Table 5).
+DISPLAY_LEVELS = (8.0, 5.0, 2.7)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,30 +27,6 @@ class Estimate:
 
     value: float
     error: float
-
-    def __mul__(self, factor: float) -> "Estimate":
-        return Estimate(self.value * factor, self.error * abs(factor))
-
-
-def relative_weights(reference: Floats) -> Floats:
-    """w of the relMSE: 1 / (r² + 0.01 mean(r)²), where r is averaged over 9 x 9 pixels.
-
-    A noisy reference has pixels that no light has reached yet. Their own values would give the
-    errors there a hundred times the weight, and make the weights depend on the noise.
-    """
-    size: Any = (WINDOW, WINDOW, 0)  # SciPy's annotation knows one number only
-    local = uniform_filter(reference, size=size, mode="nearest")
-    return 1 / (local**2 + RELATIVE_FLOOR * reference.mean() ** 2)
-
-
-def trimming(*squares: Floats, share: float = TRIMMED_SHARE) -> Floats:
-    """Mask [H, W, 1] of the pixels that stay without the worst of each picture of squares."""
-    kept = np.ones((*squares[0].shape[:2], 1))
-    for each in squares:
-        pixels = each.mean(axis=-1)
-        worst = np.argsort(pixels, axis=None)[pixels.size - round(share * pixels.size) :]
-        kept.reshape(-1)[worst] = 0
-    return kept
 
 
 def trimmed_mean(squares: Floats, share: float = TRIMMED_SHARE) -> float:
@@ -93,21 +63,6 @@ def display_exposure(reference: Floats) -> float:
     """Factor on the radiance of a reference [H, W, 3] with which `display_rmse` exposes it."""
     seen = luminance(reference)
     return 0.18 * LUMENS_PER_WATT / float(np.median(seen[seen > 0]))
-
-
-def noise(batches: Floats, weights: Floats | float = 1.0) -> Estimate:
-    """Mean squared error of the mean of K batches [K, H, W, 3] by their noise, from their spread.
-
-    Unbiased. The standard error is the jackknife's, so rare bright samples that no batch
-    has met are missing from both numbers.
-    """
-    count = len(batches)
-    deviations = ((batches - batches.mean(0)) ** 2 * weights).reshape(count, -1).mean(1)
-    value = deviations.sum() / (count - 1) / count
-    # Without batch i, whose deviation from the others' mean is K / (K - 1) times that from all's.
-    without = deviations.sum() - deviations * count / (count - 1)
-    without /= (count - 2) * (count - 1)
-    return Estimate(float(value), float(jackknife_error(without)))
 
 
 def squared_difference(first: Floats, second: Floats, weights: Floats | float = 1.0) -> Estimate:
@@ -163,16 +118,55 @@ def time_to_reach(level: float, seconds: Floats, errors: Floats) -> tuple[float,
     return float(seconds[i] * (seconds[i + 1] / seconds[i]) ** share), "measured"
 
 
-@dataclasses.dataclass(frozen=True)
-class Pace:
-    """A method's mean squared error with n samples a pixel, bias + variance / n, and its speed.
+def display_rows(
+    runs: dict[str, tuple[list[dict], Floats, float]],
+    clock: str,
+    weights: Floats | float = 1.0,
+    reference: str = "explicit",
+) -> tuple[dict[str, list[dict]], float]:
+    """`rmse_display` of the ladders and of the long runs, and that of the reference.
 
-    Attributes:
-        variance: mean squared error by noise of one sample a pixel.
-        seconds: that one sample a pixel takes.
-        bias: mean squared error that no time removes.
+    The reference is the long run of one of them. Its own error is half the difference between the
+    means of its odd and its even batches, and is subtracted from all others. Its last
+    image is the mean of every second batch: its error is that difference over √2.
+
+    Args:
+        runs: rungs, batches [K, H, W, 3] of the long run, and its seconds, by method.
+        clock: that the seconds of rungs are by.
+        weights: see `display_rmse`.
+        reference: name of the method whose long run is the reference.
     """
+    goal = runs[reference][1].mean(0)
+    difference = noise_of_mean(runs[reference][1], weights) * 2
+    own = difference / 2
+    rows = {}
+    for name, (rungs, batches, seconds) in runs.items():
+        rows[name] = [
+            {
+                "seconds": float(np.median(rung["seconds"][clock])),
+                "rmse": _without(display_rmse(rung["images"], goal, weights), own),
+            }
+            for rung in rungs
+        ]
+        last = {
+            "seconds": seconds,
+            "rmse": _without(display_rmse(batches.mean(0)[None], goal, weights), own),
+        }
+        if name == reference:
+            last = {"seconds": seconds / 2, "rmse": difference / np.sqrt(2)}
+        rows[name].append(last)
+    return rows, own
 
-    variance: Estimate
-    seconds: float
-    bias: float = 0.0
+
+def noise_of_mean(batches: Floats, weights: Floats | float = 1.0) -> float:
+    """`rmse_display` of the mean of batches [K, H, W, 3] by their noise.
+
+    Half of that of the mean of the even batches against the mean of the odd ones.
+    """
+    halves = batches[0::2].mean(0), batches[1::2].mean(0)
+    return float(display_rmse(halves[0][None], halves[1], weights)[0]) / 2
+
+
+def _without(errors: Floats, own: float) -> float:
+    """Root of the mean of squared errors, without that of the reference."""
+    return float(np.sqrt(max((errors**2).mean() - own**2, 0.0)))
