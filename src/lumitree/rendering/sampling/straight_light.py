@@ -38,9 +38,9 @@ from lumitree.rendering.sampling.samples import resample, scrambled
 
 # Clusters at most, the depth of the finest grid whose cells they are, and how many are candidates.
 _CLUSTERS, _DEPTH, _CANDIDATES = 16, 5, 2
-# Part of what emitters would send if nothing were in the way that is added to the light field's
-# straight light: paths may have missed some. A part of its mean over all directions is added, too.
-_MISSED, _ANYWHERE = 0.05, 0.2
+# Part of what emitters would send if nothing were in the way that is straight light at least: paths
+# may have missed some. A part of its mean over all directions is added to it.
+_MISSED, _ANYWHERE = 0.02, 0.2
 # Cells of receivers, see `receiver_cells`.
 _RECEIVERS = (16, 4, 0.3)
 # Bins of direction a side, and entries of the table of elements by direction: lamps with more
@@ -107,9 +107,11 @@ class StraightLight:
         self._middles = on_device(mi.Float, np.concatenate([middles, size[:, None]], axis=1))
         self._resolution = 8 if field is None else field.resolution
         bare = _bare(cluster, light, each.normal, self._resolution)
-        seen = _MISSED * bare
+        seen = bare
         if field is not None:
-            seen += _straight(field, middles, gain)
+            # Of what is hidden in part, the root mean square of samples, and not their mean.
+            straight = _straight(field, middles, gain)
+            seen = np.sqrt(np.maximum(straight, _MISSED * bare) * bare)
         # What receivers outside the box get of clusters, and others.
         self._intensity = on_device(mi.Float, np.stack([seen, bare]))
         self._clusters = parameter(mi.UInt32, len(flux))
