@@ -36,13 +36,15 @@ _LIGHTS: weakref.WeakKeyDictionary[LightField, dict[tuple[object, ...], EmittedL
 )
 
 
-def emitted_light(asset: Asset) -> EmittedLight:
+def emitted_light(asset: Asset, *, levels: bool = False) -> EmittedLight:
     """Device copy of what an asset's light field emits, shared by all that use the asset."""
     assert asset.light_field is not None
-    lights, key = _LIGHTS.setdefault(asset.light_field, {}), (str(mi.variant()), asset.gain)
+    lights, key = _LIGHTS.setdefault(asset.light_field, {}), (str(mi.variant()), asset.gain, levels)
     if key not in lights:
         # Mitsuba creates plugins in parallel: of two copies, the first is kept.
-        light = EmittedLight(asset.light_field, asset.frame.half_extents, asset.gain)
+        light = EmittedLight(
+            asset.light_field, asset.frame.half_extents, asset.gain, levels=levels
+        )
         return lights.setdefault(key, light)
     return lights[key]
 
@@ -52,6 +54,7 @@ class EmittedLight:
 
     Args:
         gain: [3] factors on R, G and B, not all 0.
+        levels: whether there are levels beyond 0.
 
     Attributes:
         scale: mi.Float, unit of intensities.
@@ -66,23 +69,25 @@ class EmittedLight:
         field: LightField,
         half_extents: NDArray[np.float64],
         gain: tuple[float, float, float] = (1.0, 1.0, 1.0),
+        *,
+        levels: bool = False,
     ) -> None:
         self._count, self._resolution = len(field.cells), field.resolution
-        levels = light_levels(field, half_extents)
-        self.levels = [level.cells for level in levels]
-        more = [(level.lower, level.upper) for level in levels[1:]]
+        found = light_levels(field, half_extents, sums=levels)
+        self.levels = [level.cells for level in found]
+        more = [(level.lower, level.upper) for level in found[1:]]
         self.cells = LightCells(half_extents, field.cells, field.depth, more)
         # A common unit: sums may be larger than the largest intensity of the field.
         # A power of two, which changes no mantissa.
-        largest = max(level.intensity.max() for level in levels)
+        largest = max(level.intensity.max() for level in found)
         unit = 2.0 ** math.ceil(math.log2(largest))
         packed = [field.dense(divided(field.intensity, unit))]
-        packed += [pack_lit(level.intensity, unit) for level in levels[1:]]
+        packed += [pack_lit(level.intensity, unit) for level in found[1:]]
         self._packed = on_device(mi.UInt32, np.concatenate(packed))
         self.scale = dr.opaque(mi.Float, field.scale * unit * max(gain))
         self._colour = parameter(mi.Color3f, *(factor / max(gain) for factor in gain))
-        self.by_cell = [level.flux.sum(axis=1) for level in levels]
-        cumulated = np.cumsum(levels[0].flux, axis=1)
+        self.by_cell = [level.flux.sum(axis=1) for level in found]
+        cumulated = np.cumsum(found[0].flux, axis=1)
         self._bin_chances = on_device(mi.Float, cumulated / cumulated[:, -1:])
         total = np.cumsum(self.by_cell[0])
         self._cell_chances = on_device(mi.Float, total / total[-1])

@@ -59,7 +59,7 @@ from lumitree.rendering.sampling.receiver_cells import ReceiverCells
 from lumitree.rendering.sampling.samples import divide_sample, resample, scrambled
 
 # Cells of receivers, see `receiver_cells`.
-_RESOLUTION, _NUM_SHELLS, _SHELL_WIDTH = 16, 4, 0.3
+_RECEIVERS, _ROUGH = (16, 4, 0.3), (4, 1, 1.2)
 # Entries of the table, of 8 bytes: lamps with more cells have fewer rows.
 _MAX_ENTRIES = 1 << 24
 # Points that one is chosen of, at the finest level and at others. With more, a sample takes longer
@@ -72,20 +72,26 @@ _LIGHTS: weakref.WeakKeyDictionary[LightField, dict[tuple[object, ...], DeviceLi
 )
 
 
-def device_light_field(asset: Asset, *, bent: bool = False) -> DeviceLightField:
-    """Device copy of an asset's light field, or of its bent light, shared by its instances."""
+def device_light_field(
+    asset: Asset, *, bent: bool = False, rough: bool = False
+) -> DeviceLightField:
+    """Device copy of an asset's light field, or of its bent light, shared by its instances.
+
+    A `rough` one has a small table, which is soon made.
+    """
     assert asset.light_field is not None
     lights = _LIGHTS.setdefault(asset.light_field, {})
-    key = str(mi.variant()), asset.gain, bent
+    key = str(mi.variant()), asset.gain, bent, rough
     if key not in lights:
+        field = asset.light_field.bent_light if bent else asset.light_field
+        light = DeviceLightField(
+            field,
+            asset.frame.half_extents,
+            asset.gain,
+            None if bent else emitted_light(asset, levels=not rough),
+            _ROUGH if rough else _RECEIVERS,
+        )
         # Mitsuba creates plugins in parallel: of two copies, the first is kept.
-        half_extents = asset.frame.half_extents
-        if bent:
-            light = DeviceLightField(asset.light_field.bent_light, half_extents, asset.gain)
-        else:
-            light = DeviceLightField(
-                asset.light_field, half_extents, asset.gain, emitted_light(asset)
-            )
         return lights.setdefault(key, light)
     return lights[key]
 
@@ -96,6 +102,10 @@ class DeviceLightField:
     Args:
         gain: [3] factors on R, G and B, not all 0.
         emitted: what it emits, if it is on the device already.
+        receivers: resolution, shells and their width, see `receiver_cells`.
+
+    Attributes:
+        emitted: what it emits, with the levels (`light_levels`) that receivers get.
     """
 
     def __init__(
@@ -104,33 +114,34 @@ class DeviceLightField:
         half_extents: NDArray[np.float64],
         gain: tuple[float, float, float] = (1.0, 1.0, 1.0),
         emitted: EmittedLight | None = None,
+        receivers: tuple[int, int, float] = _RECEIVERS,
     ) -> None:
         # What receivers inside the box get (`light_inside`).
         self.inside: Any = None
         self.field = weakref.ref(field)
-        self.emitted = emitted or EmittedLight(field, half_extents, gain)
+        self.emitted = emitted or EmittedLight(field, half_extents, gain, levels=True)
         self.cells, self.scale = self.emitted.cells, self.emitted.scale
         count, self._resolution = len(field.cells), field.resolution
         self._radius = parameter(mi.Float, float(np.linalg.norm(half_extents)))
-        resolution = _RESOLUTION
-        while resolution > 2 and resolution**2 * _NUM_SHELLS * count > _MAX_ENTRIES:
+        resolution, num_shells, width = receivers
+        while resolution > 2 and resolution**2 * num_shells * count > _MAX_ENTRIES:
             resolution //= 2
         self.diffuse = dr.rcp(np.pi * self._radius)
         rows, parts, records, parents = [], [], [], []
         first = 0
+        around: list[ReceiverCells] = []
         for level, flux in enumerate(self.emitted.by_cell):
-            farthest, nearest = self.emitted.choice.shells(level, _SHELL_WIDTH, _NUM_SHELLS)
+            farthest, nearest = self.emitted.choice.shells(level, width, num_shells)
             shells = nearest - farthest + 1
-            around = ReceiverCells(half_extents, resolution, shells, _SHELL_WIDTH, farthest)
-            if level == 0:
-                self._around = around
-            rows.append(self._rows(around, first, flux))
-            parts.append((around.count + 1, len(flux)))
-            candidates = _FAR_CANDIDATES if level else _CANDIDATES
-            records.append([first, farthest, nearest, candidates])
+            around.append(ReceiverCells(half_extents, resolution, shells, width, farthest))
+            rows.append(self._rows(around[-1], first, flux))
+            parts.append((around[-1].count + 1, len(flux)))
+            records.append([first, farthest, nearest, _FAR_CANDIDATES if level else _CANDIDATES])
             codes = morton(self.emitted.levels[level])
             parents.append(first + np.searchsorted(codes, morton(field.cells >> level)))
             first += len(flux)
+        # Other integrators, and the light inside, have level 0 alone.
+        self._around = around[0]
         self._levels = on_device(mi.UInt32, records)
         self._parents = on_device(mi.UInt32, np.stack(parents, axis=1))
         self._num_levels = parameter(mi.UInt32, len(parents))

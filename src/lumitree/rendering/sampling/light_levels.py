@@ -64,12 +64,14 @@ class Level:
         return luminance(self.intensity) * angles
 
 
-def light_levels(field: LightField, half_extents: NDArray[np.float64]) -> list[Level]:
-    """The levels of a field, the finest first."""
+def light_levels(
+    field: LightField, half_extents: NDArray[np.float64], *, sums: bool = True
+) -> list[Level]:
+    """The levels of a field, the finest first; without `sums` level 0 alone."""
     lower, upper = grid_boxes_inside(half_extents, field.cells, field.depth)
     intensity = field.dense(unpack(field.intensity).astype(np.float32))
     levels = [Level(field.cells, field.depth, lower, upper, intensity)]
-    while levels[-1].depth > _COARSEST and len(levels) <= _SUMS:
+    while sums and levels[-1].depth > _COARSEST and len(levels) <= _SUMS:
         levels.append(_summed(levels[-1], half_extents))
     return levels
 
