@@ -46,11 +46,17 @@ def test_samples_have_the_probabilities_that_the_table_states(mi):
     from lumitree.core.alias_table import AliasTable
 
     weights = np.stack(list(rows_of_weights().values()))
-    table, count, samples = AliasTable([weights], weights.shape), weights.shape[1], 1 << 20
+    short = weights[:2, :7]
+    table, samples = AliasTable([weights, short], weights.shape, short.shape), 1 << 20
     sample = mi.PCG32(samples, 5).next_float32()
-    for row, weight in enumerate(weights):
-        index, chance = table.sample(mi.UInt32(row), sample)
-        stated = table.probability(mi.UInt32(row), dr.arange(mi.UInt32, count))
+    rows = [(None, *each) for each in enumerate(weights)]
+    rows += [
+        (mi.UInt32(part), *each) for part in (0, 1) for each in enumerate([weights, short][part])
+    ]
+    for part, row, weight in rows:
+        count = len(weight)
+        index, chance = table.sample(mi.UInt32(row), sample, part=part)
+        stated = table.probability(mi.UInt32(row), dr.arange(mi.UInt32, count), part=part)
         assert np.array_equal(np.array(chance), np.array(dr.gather(mi.Float, stated, index)))
         stated = np.array(stated, np.float64)
         assert (stated > 0).all()

@@ -31,11 +31,32 @@ def some_light(seed=1, count=24):
     return make_light_field(cells, intensity, DEPTH)
 
 
+def even_light():
+    """Cells whose sums have their light in the same places: eight equal ones in each sum."""
+    random = np.random.default_rng(2)
+    sums = np.array([[0, 1, 1], [1, 1, 2], [2, 2, 1], [3, 1, 1], [3, 2, 2]])
+    cells = (2 * sums[:, None] + np.argwhere(np.ones((2, 2, 2)))).reshape(-1, 3)
+    intensity = random.exponential(1, (len(sums), RESOLUTION**2, 3))
+    return make_light_field(cells, np.repeat(intensity, 8, axis=0), DEPTH)
+
+
 @pytest.fixture(scope="module")
 def light(mi):
     from lumitree.rendering.sampling.light_field import DeviceLightField
 
     return DeviceLightField(some_light(), HALF)
+
+
+@pytest.fixture(scope="module")
+def levels(mi):
+    """A light field by level of its receivers: of a few cells, and of sums."""
+    from lumitree.rendering.sampling.light_field import DeviceLightField
+    from lumitree.rendering.sampling.light_levels import LevelChoice
+
+    near, far = DeviceLightField(some_light(), HALF), DeviceLightField(even_light(), HALF)
+    near.emitted.choice = LevelChoice(HALF, np.array([np.inf]))
+    far.emitted.choice = LevelChoice(HALF, np.array([-1.0]))
+    return near, far
 
 
 def seen_from(mi, light, x, direction):
@@ -134,7 +155,8 @@ def test_samples_follow_their_density_and_weigh_the_same_light(mi, light, name):
 
 @pytest.mark.parametrize("name", POINTS)
 @pytest.mark.parametrize("other", [0.0, 0.02, 50.0])
-def test_points_and_rays_share_the_light(mi, light, name, other):
+@pytest.mark.parametrize("level", [0, 1])
+def test_points_and_rays_share_the_light(mi, levels, level, name, other):
     """By direction and distance: both parts add up to the radiance, for each bin of direction.
 
     `other` is b at the lamp's centre; it depends on the direction, as a BSDF's density does.
@@ -145,6 +167,7 @@ def test_points_and_rays_share_the_light(mi, light, name, other):
     from lumitree.rendering.sampling.proxy import BoxProxy, cone_pdf, sample_cone
 
     count, coarse = 1 << 20, 4
+    light, field = levels[level], [some_light, even_light][level]()
     origin = device_point(mi, name)
     axis = dr.normalize(mi.Vector3f(origin))
 
@@ -168,7 +191,7 @@ def test_points_and_rays_share_the_light(mi, light, name, other):
         rest = light.received(origin, entry, plain, near, inverse, end, enters)
         # Only the balance heuristic with a positive b bounds the weights of near points.
         volume = np.array(light.cells.volume)
-        brightest = unpack(some_light().intensity).max() * some_light().scale
+        brightest = unpack(field.intensity).max() * field.scale * 8**level
         # A point is chosen as for a diffuse surface, with a b of 1 / πR.
         least = min(np.array(density(direction)).min(), 1 / (np.pi * radius))
         assert np.array(weight).max() <= brightest / (volume.min() * least) * 1.001

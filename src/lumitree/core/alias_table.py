@@ -30,9 +30,7 @@ class AliasTable:
         parts: number of rows, and N, of each part.
     """
 
-    def __init__(
-        self, weights: Iterable[NDArray[np.float64]], *parts: tuple[int, int]
-    ) -> None:
+    def __init__(self, weights: Iterable[NDArray[np.float64]], *parts: tuple[int, int]) -> None:
         bits = int(max(count for _, count in parts) - 1).bit_length()
         steps = 1 << (32 - bits)
         sizes = [rows * count for rows, count in parts]

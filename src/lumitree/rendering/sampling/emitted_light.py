@@ -42,9 +42,7 @@ def emitted_light(asset: Asset, *, levels: bool = False) -> EmittedLight:
     lights, key = _LIGHTS.setdefault(asset.light_field, {}), (str(mi.variant()), asset.gain, levels)
     if key not in lights:
         # Mitsuba creates plugins in parallel: of two copies, the first is kept.
-        light = EmittedLight(
-            asset.light_field, asset.frame.half_extents, asset.gain, levels=levels
-        )
+        light = EmittedLight(asset.light_field, asset.frame.half_extents, asset.gain, levels=levels)
         return lights.setdefault(key, light)
     return lights[key]
 
@@ -77,10 +75,9 @@ class EmittedLight:
         self.levels = [level.cells for level in found]
         more = [(level.lower, level.upper) for level in found[1:]]
         self.cells = LightCells(half_extents, field.cells, field.depth, more)
-        # A common unit: sums may be larger than the largest intensity of the field.
-        # A power of two, which changes no mantissa.
-        largest = max(level.intensity.max() for level in found)
-        unit = 2.0 ** math.ceil(math.log2(largest))
+        # Sums may be larger than the unit of the field. A power of two changes no mantissa.
+        largest = max(float(level.intensity.max()) for level in found)
+        unit = 2.0 ** max(math.ceil(math.log2(largest)), 0)
         packed = [field.dense(divided(field.intensity, unit))]
         packed += [pack_lit(level.intensity, unit) for level in found[1:]]
         self._packed = on_device(mi.UInt32, np.concatenate(packed))
@@ -92,7 +89,7 @@ class EmittedLight:
         total = np.cumsum(self.by_cell[0])
         self._cell_chances = on_device(mi.Float, total / total[-1])
         self._ends = np.cumsum([0, *map(len, self.levels)]).tolist()
-        errors = self._level_errors(half_extents)
+        errors = self._level_errors(half_extents) if levels else np.zeros(0)
         self.choice = LevelChoice(half_extents, level_limits(errors, field.depth))
 
     def _level_errors(self, half_extents: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -104,8 +101,8 @@ class EmittedLight:
             light = self.irradiance(x, mi.Vector3f(n), random, mi.Bool(True), level)
             mean = luminance(np.array(light, np.float64).T).reshape(-1, POINTS).mean(axis=1)
             found.append(mean)
-        differences = np.array(found[1:]).reshape(-1, len(found[0])) - found[0]
-        return np.sqrt(np.square(differences).mean(axis=1)) / found[0].mean()
+        first, *sums = found
+        return np.array([np.sqrt(np.square(each - first).mean()) for each in sums]) / first.mean()
 
     def intensity(self, cell: mi.UInt32, index: mi.UInt32, active: mi.Bool | bool) -> mi.Color3f:
         """Radiant intensity of a bin of a cell."""

@@ -64,8 +64,7 @@ _RECEIVERS, _ROUGH = (16, 4, 0.3), (4, 1, 1.2)
 _MAX_ENTRIES = 1 << 24
 # Points that one is chosen of, at the finest level and at others. With more, a sample takes longer
 # than its noise is worth.
-import os
-_CANDIDATES, _FAR_CANDIDATES = map(int, os.environ.get("CAND", "4,2").split(","))
+_CANDIDATES, _FAR_CANDIDATES = 4, 2
 
 _LIGHTS: weakref.WeakKeyDictionary[LightField, dict[tuple[object, ...], DeviceLightField]] = (
     weakref.WeakKeyDictionary()
@@ -162,9 +161,7 @@ class DeviceLightField:
 
         return cell_rows(around, corners, towards, self.scale, flux)
 
-    def _place(
-        self, x: mi.Point3f, sample: mi.Float
-    ) -> tuple[mi.UInt32, mi.Vector4u, mi.UInt32]:
+    def _place(self, x: mi.Point3f, sample: mi.Float) -> tuple[mi.UInt32, mi.Vector4u, mi.UInt32]:
         """Level of a receiver, the level's record, and the row of the table."""
         level = self.emitted.choice.sample(x, sample)
         record = dr.gather(mi.Vector4u, self._levels, level)

@@ -133,9 +133,7 @@ class LevelChoice:
         return first, last
 
 
-def level_limits(
-    errors: NDArray[np.float64], depth: int
-) -> NDArray[np.float64]:
+def level_limits(errors: NDArray[np.float64], depth: int) -> NDArray[np.float64]:
     """Distances from a lamp's box beyond which its levels have at most `_ERROR`.
 
     Args:
