@@ -99,8 +99,7 @@ class EmittedLight:
         for level in range(len(self.levels)):
             random = mi.PCG32(dr.width(x), initstate=dr.opaque(mi.UInt64, level))
             light = self.irradiance(x, mi.Vector3f(n), random, mi.Bool(True), level)
-            mean = luminance(np.array(light, np.float64).T).reshape(-1, POINTS).mean(axis=1)
-            found.append(mean)
+            found.append(luminance(np.array(light).T).reshape(-1, POINTS).mean(axis=1))
         first, *sums = found
         return np.array([np.sqrt(np.square(each - first).mean()) for each in sums]) / first.mean()
 

@@ -9,6 +9,10 @@ A cell is sampled from a table that depends on the receiver, in proportion to th
 of the light that it sends to the receiver's surroundings, a part of the samples by the flux of
 cells; then a point of the cell, uniformly.
 
+Receivers that are farther away get points of sums of cells (`light_levels`), whose tables and
+intensities are small. Rays get the light of the field's own cells. Both weights are by the sum,
+whose level is chosen at random for each of them: the mean over levels is the same.
+
 A sampled point is used in two ways. Integrators that ask for directions alone get the radiance of
 the whole ray through the point, over its density, for which a tenth of the directions is uniform
 over the lamp's bounding sphere: no weight exceeds the radiance times 4π over that tenth. An
@@ -62,7 +66,7 @@ from lumitree.rendering.sampling.samples import divide_sample, resample, scrambl
 _RECEIVERS, _ROUGH = (16, 4, 0.3), (4, 1, 1.2)
 # Entries of the table, of 8 bytes: lamps with more cells have fewer rows.
 _MAX_ENTRIES = 1 << 24
-# Points that one is chosen of, at the finest level and at others. With more, a sample takes longer
+# Points that one is chosen of, at level 0 and at others. With more, a sample takes longer
 # than its noise is worth.
 _CANDIDATES, _FAR_CANDIDATES = 4, 2
 
@@ -296,7 +300,7 @@ class DeviceLightField:
         """Part of the radiance from a direction that `contribution` leaves.
 
         In a cell from r₀ to r₁ with k² = a / b it is ∫ dr / (1 + k² r²), or atan(z) / k with
-        z = k (r₁ - r₀) / (1 + k² r₀ r₁), times I / V.
+        z = k (r₁ - r₀) / (1 + k² r₀ r₁), times I / V. a is of the sum that the cell is a part of.
 
         Args:
             inverse: 1 / b; 0 for the whole radiance.

@@ -30,14 +30,13 @@ from lumitree.octree.leaves import grid_boxes_inside
 
 # Sums at most, and the depth of the coarsest level.
 _SUMS, _COARSEST = 4, 2
-# A level is for receivers where its irradiance differs by this much, root mean square, from that of
-# level 0, and at a distance from the lamp's box of at least `_LEAST` times the side of its cells
-# over the side of the grid. Distances are multiplied by random numbers from 1 to 1 + `_BLEND`.
+# A level is for receivers at a distance from the lamp's box (local units) where the root mean square
+# of its relative error is at most `_ERROR`, and of at least `_LEAST` over its number of cells a side.
+# Distances are multiplied by random numbers from 1 to 1 + `_BLEND`.
 _ERROR, _LEAST, _BLEND = 0.01, 24.0, 0.5
-# Errors are measured at this distance from the box, local units, by patches of its faces, with
-# `_SUBDIVISION`² points each.
-ERROR_DISTANCE, _PATCHES, _SUBDIVISION = 4.0, 8, 2
-POINTS = _SUBDIVISION**2
+# Errors are measured at this distance from the box, local units, as means over patches of its faces:
+# so many a side, of so many points each. At single points they would be noise.
+ERROR_DISTANCE, _PATCHES, POINTS = 4.0, 8, 4
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -51,7 +50,7 @@ class Level:
         intensity: float32 [C, R², 3] radiant intensity, in the unit of the field's scale.
     """
 
-    cells: NDArray[np.uint8]
+    cells: NDArray[np.integer]
     depth: int
     lower: NDArray[np.float64]
     upper: NDArray[np.float64]
@@ -134,28 +133,30 @@ class LevelChoice:
 
 
 def level_limits(errors: NDArray[np.float64], depth: int) -> NDArray[np.float64]:
-    """Distances from a lamp's box beyond which its levels have at most `_ERROR`.
+    """Distances from a lamp's box beyond which receivers get its levels beyond level 0.
 
     Args:
         errors: [L - 1] relative errors at the distance `ERROR_DISTANCE`, of the levels beyond 0.
         depth: of level 0.
     """
-    # Errors fall with the distance from the box's border, and about 1.
+    # Errors are about in proportion to 1 / (distance + 1).
     found = errors / _ERROR * (ERROR_DISTANCE + 1) - 1
     sides = 2.0 ** np.arange(1, len(errors) + 1) / (1 << depth)
     return np.maximum.accumulate(np.maximum(found, _LEAST * sides))
 
 
-def points_around(half_extents: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
-    """Receivers at `ERROR_DISTANCE` from a box: points and normals [.., 3], `POINTS` a patch."""
-    side = (np.arange(_PATCHES * _SUBDIVISION) + 0.5) / (_PATCHES * _SUBDIVISION) * 2 - 1
-    by_patch = side.reshape(_PATCHES, _SUBDIVISION)
-    u, v = np.broadcast_arrays(by_patch[:, None, :, None], by_patch[None, :, None, :])
-    faces = []
-    for axis in range(3):
-        for sign in (-1.0, 1.0):
-            point = np.stack([np.full_like(u, sign), u, v], axis=-1).reshape(-1, 3)
-            faces.append(np.roll(point, axis, axis=1))
-    unit = np.concatenate(faces)
-    normal = -np.repeat(np.kron(np.eye(3), [[-1], [1]]), len(faces[0]), axis=0)
+def points_around(
+    half_extents: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Receivers at `ERROR_DISTANCE` from a box, that face it: points and normals [.., 3].
+
+    `POINTS` receivers that follow each other are a patch.
+    """
+    count = 2 * _PATCHES
+    side = ((np.arange(count) + 0.5) / count * 2 - 1).reshape(-1, 2)
+    places = np.broadcast_arrays(side[:, None, :, None], side[None, :, None, :])
+    u, v = (each.ravel() for each in places)
+    face = np.stack([np.ones_like(u), u, v], axis=1)
+    unit = np.concatenate([sign * np.roll(face, axis, 1) for axis in range(3) for sign in (-1, 1)])
+    normal = np.where(np.abs(unit) == 1, -unit, 0)
     return unit * (half_extents + ERROR_DISTANCE), normal
