@@ -30,7 +30,7 @@ from lumitree.octree.leaves import grid_boxes_inside
 
 # Sums at most, and the depth of the coarsest level.
 _SUMS, _COARSEST = 4, 2
-# A level is for receivers whose distance from the lamp's box (local units) is at least `_LEAST` over
+# A level is for receivers at a distance from the lamp's box (local units) of at least `_LEAST` over
 # the number of cells a side, and where the root mean square of its relative error is at most
 # `_ERROR`. Distances are multiplied by random numbers from 1 to 1 + `_BLEND`.
 _ERROR, _LEAST, _BLEND = 0.01, 24.0, 0.5
