@@ -6,6 +6,8 @@ import pytest
 from lumitree.asset.light_field import make_light_field
 from lumitree.asset.packed_colours import unpack
 from lumitree.core.device import on_device
+from lumitree.core.octahedral import solid_angles
+from lumitree.core.photometry import luminance
 from lumitree.octree.leaves import grid_boxes_inside
 from support.receivers import HALF, uniform_samples
 
@@ -32,13 +34,15 @@ def light(mi):
 
 
 def test_sums_have_the_light_of_their_cells(mi):
-    from lumitree.rendering.sampling.light_levels import light_levels
+    from lumitree.rendering.sampling.light_levels import light_sums
 
     field = some_light()
-    levels = light_levels(field, HALF)
-    assert [level.depth for level in levels] == [5, 4, 3, 2]
     whole = unpack(field.dense(field.intensity))
-    flux = levels[0].flux.sum(axis=1)
+    flux = luminance(whole) @ solid_angles(RESOLUTION)
+    levels = light_sums(field, HALF, flux)
+    assert [level.depth for level in levels] == [4, 3, 2]
+    lower, upper = grid_boxes_inside(HALF, field.cells, DEPTH)
+    middle = (lower + upper) / 2
     for level in levels:
         shift = DEPTH - level.depth
         cells, inverse = np.unique(field.cells >> shift, axis=0, return_inverse=True)
@@ -52,19 +56,19 @@ def test_sums_have_the_light_of_their_cells(mi):
         lower, upper = grid_boxes_inside(HALF, level.cells, level.depth)
         assert (level.lower >= lower - 1e-6).all()
         assert (level.upper <= upper + 1e-6).all()
-        middle = (levels[0].lower + levels[0].upper) / 2
         mean = np.zeros((len(cells), 3))
         np.add.at(mean, inverse.ravel(), flux[:, None] * middle)
-        mean /= level.flux.sum(axis=1)[order, None]
+        assert level.flux[order] == pytest.approx(luminance(sums) @ solid_angles(RESOLUTION))
+        mean /= level.flux[order, None]
         assert ((level.lower + level.upper) / 2)[order] == pytest.approx(mean, abs=1e-6)
 
 
 def test_a_sum_of_equal_cells_is_the_larger_cell(mi):
-    from lumitree.rendering.sampling.light_levels import light_levels
+    from lumitree.rendering.sampling.light_levels import light_sums
 
     cells = np.argwhere(np.ones((2, 2, 2))) + np.array([2, 4, 4])
     field = make_light_field(cells, np.full((8, RESOLUTION**2, 3), 2.0), 3)
-    (_, level) = light_levels(field, HALF)
+    (level,) = light_sums(field, HALF, np.ones(8))
     assert level.lower[0] == pytest.approx([-0.5, 0, 0])
     assert level.upper[0] == pytest.approx([0, 0.5, 0.5])
 

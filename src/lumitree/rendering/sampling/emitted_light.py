@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
 from lumitree.asset.light_field import LightField
-from lumitree.asset.packed_colours import divided, pack_lit
+from lumitree.asset.packed_colours import divided, pack_lit, unpack
 from lumitree.core.device import on_device, parameter
-from lumitree.core.octahedral import direction_in_bin
+from lumitree.core.octahedral import direction_in_bin, solid_angles
 from lumitree.core.photometry import luminance
 from lumitree.rendering.sampling.light_bins import bins_around, unpacked
 from lumitree.rendering.sampling.light_cells import LightCells
@@ -26,7 +26,7 @@ from lumitree.rendering.sampling.light_levels import (
     POINTS,
     LevelChoice,
     level_limits,
-    light_levels,
+    light_sums,
     points_around,
 )
 from lumitree.rendering.sampling.samples import sample_row, scrambled
@@ -71,23 +71,25 @@ class EmittedLight:
         levels: bool = False,
     ) -> None:
         self._count, self._resolution = len(field.cells), field.resolution
-        found = light_levels(field, half_extents, sums=levels)
-        self.levels = [level.cells for level in found]
-        more = [(level.lower, level.upper) for level in found[1:]]
+        bins = field.dense(luminance(unpack(field.intensity)))
+        flux = np.asarray(bins * solid_angles(field.resolution), np.float64)
+        by_cell = flux.sum(axis=1)
+        sums = light_sums(field, half_extents, by_cell) if levels else []
+        self.levels = [field.cells, *(level.cells for level in sums)]
+        self.by_cell = [by_cell, *(level.flux for level in sums)]
+        more = [(level.lower, level.upper) for level in sums]
         self.cells = LightCells(half_extents, field.cells, field.depth, more)
         # Sums may be larger than the unit of the field. A power of two changes no mantissa.
-        largest = max(float(level.intensity.max()) for level in found)
+        largest = max((float(level.intensity.max()) for level in sums), default=1.0)
         unit = 2.0 ** max(math.ceil(math.log2(largest)), 0)
         packed = [field.dense(divided(field.intensity, unit))]
-        packed += [pack_lit(level.intensity, unit) for level in found[1:]]
+        packed += [pack_lit(level.intensity, unit) for level in sums]
         self._packed = on_device(mi.UInt32, np.concatenate(packed))
         self.scale = dr.opaque(mi.Float, field.scale * unit * max(gain))
         self._colour = parameter(mi.Color3f, *(factor / max(gain) for factor in gain))
-        self.by_cell = [level.flux.sum(axis=1) for level in found]
-        cumulated = np.cumsum(found[0].flux, axis=1)
+        cumulated = np.cumsum(flux, axis=1)
         self._bin_chances = on_device(mi.Float, cumulated / cumulated[:, -1:])
-        total = np.cumsum(self.by_cell[0])
-        self._cell_chances = on_device(mi.Float, total / total[-1])
+        self._cell_chances = on_device(mi.Float, np.cumsum(by_cell / by_cell.sum()))
         self._ends = np.cumsum([0, *map(len, self.levels)]).tolist()
         errors = self._level_errors(half_extents) if levels else np.zeros(0)
         self.choice = LevelChoice(half_extents, level_limits(errors, field.depth))

@@ -12,8 +12,6 @@ Symbols
 from __future__ import annotations
 
 import dataclasses
-import functools
-import math
 
 import drjit as dr
 import mitsuba as mi
@@ -23,8 +21,6 @@ from numpy.typing import NDArray
 from lumitree.asset.light_field import LightField
 from lumitree.asset.packed_colours import unpack
 from lumitree.core.device import parameter
-from lumitree.core.octahedral import solid_angles
-from lumitree.core.photometry import luminance
 from lumitree.octree.build import morton
 from lumitree.octree.leaves import grid_boxes_inside
 
@@ -36,7 +32,7 @@ _SUMS, _COARSEST = 4, 2
 _ERROR, _LEAST, _BLEND = 0.01, 24.0, 0.5
 # Errors are measured at this distance from the box, local units, as means over patches of its
 # faces: so many a side, of so many points each. At single points they would be noise.
-ERROR_DISTANCE, _PATCHES, POINTS = 4.0, 8, 4
+ERROR_DISTANCE, _PATCHES, POINTS = 4.0, 5, 4
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -48,6 +44,7 @@ class Level:
         depth: the grid has 2**depth cells a side.
         lower, upper: [C, 3] corners of the boxes in which light starts, local units.
         intensity: float32 [C, R², 3] radiant intensity, in the unit of the field's scale.
+        flux: [C] luminous flux, any unit.
     """
 
     cells: NDArray[np.integer]
@@ -55,24 +52,20 @@ class Level:
     lower: NDArray[np.float64]
     upper: NDArray[np.float64]
     intensity: NDArray[np.float32]
-
-    @functools.cached_property
-    def flux(self) -> NDArray[np.float64]:
-        """Luminous flux [C, R²] by bin, in the unit of the field's scale."""
-        angles = solid_angles(math.isqrt(self.intensity.shape[1]))
-        return luminance(self.intensity) * angles
+    flux: NDArray[np.float64]
 
 
-def light_levels(
-    field: LightField, half_extents: NDArray[np.float64], *, sums: bool = True
+def light_sums(
+    field: LightField, half_extents: NDArray[np.float64], flux: NDArray[np.float64]
 ) -> list[Level]:
-    """The levels of a field, the finest first; without `sums` level 0 alone."""
+    """The levels of a field beyond level 0, whose cells have the luminous flux [C]."""
     lower, upper = grid_boxes_inside(half_extents, field.cells, field.depth)
     intensity = field.dense(unpack(field.intensity).astype(np.float32))
-    levels = [Level(field.cells, field.depth, lower, upper, intensity)]
-    while sums and levels[-1].depth > _COARSEST and len(levels) <= _SUMS:
-        levels.append(_summed(levels[-1], half_extents))
-    return levels
+    level, found = Level(field.cells, field.depth, lower, upper, intensity, flux), []
+    while level.depth > _COARSEST and len(found) < _SUMS:
+        level = _summed(level, half_extents)
+        found.append(level)
+    return found
 
 
 def _summed(level: Level, half_extents: NDArray[np.float64]) -> Level:
@@ -84,15 +77,15 @@ def _summed(level: Level, half_extents: NDArray[np.float64]) -> Level:
         rows = values.reshape(len(values), -1)
         return np.add.reduceat(rows, first, axis=0).reshape(-1, *values.shape[1:])
 
-    flux = level.flux.sum(axis=1, keepdims=True)
+    flux, sums = level.flux[:, None], total(level.flux)
     middle, variance = (level.lower + level.upper) / 2, (level.upper - level.lower) ** 2 / 12
-    mean = total(flux * middle) / total(flux)
-    spread = total(flux * (variance + middle**2)) / total(flux) - mean**2
+    mean = total(flux * middle) / sums[:, None]
+    spread = total(flux * (variance + middle**2)) / sums[:, None] - mean**2
     lower, upper = grid_boxes_inside(half_extents, cells, depth)
     # The box stays within the cell, so that all of its points are in the lamp's box.
     half = np.minimum(np.sqrt(np.maximum(3 * spread, 0)), np.minimum(mean - lower, upper - mean))
     half = np.maximum(half, 5e-7)
-    return Level(cells, depth, mean - half, mean + half, total(level.intensity))
+    return Level(cells, depth, mean - half, mean + half, total(level.intensity), sums)
 
 
 class LevelChoice:
