@@ -354,7 +354,7 @@ def test_the_light_of_another_lamp_is_blocked_by_opaque_parts_alone(make, shaded
 
 @pytest.mark.slow
 def test_a_receiver_that_touches_the_box_gets_its_light_once(make):
-    """Within the margin between box and proxy, next-event estimation alone finds the light field."""
+    """Within the margin between box and proxy, emitter sampling alone finds the light field."""
     import mitsuba as mi
 
     # Light that crosses thick glass is in the light field, and nothing in the box blocks it.
