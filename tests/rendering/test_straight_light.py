@@ -289,3 +289,150 @@ def test_images_of_open_emitters(mi, lamps, name, view):
     explicit = things | place_shapes(lamp, np.eye(4))
     integrator = "path" if name == "shade" else "volpath"
     assert_alike(found, blocks(mi, explicit, sensor, spp=512, integrator=integrator), 0.03)
+
+
+def test_emitters_whose_plane_has_the_origin_of_the_scene(mi, tmp_path):
+    """The camera sees them: emitter sampling could not have found what it sees."""
+    panel = placed_shape("rectangle", "panel", glows(3, 2, 1), (0.5, 0.5, 1))
+    asset = baked(tmp_path, panel, *CORNERS, paths=1 << 16)[1]
+    ball = {"type": "sphere", "radius": 0.1, "center": [900, 0, 0], "emitter": {"type": "area"}}
+    things = {"lamp": lumitree.shape(asset, appearance="geometry"), "ball": ball}
+    seen, _ = blocks(mi, things, camera(mi, [0.3, 0.2, 4], [0, 0, 0], 10), spp=1, passes=2)
+    assert seen == pytest.approx(2, rel=1e-5)
+    far, _ = blocks(mi, things, camera(mi, [900, 0, 1], [900, 0, 0], 3), spp=1, passes=2)
+    assert far == pytest.approx(1, rel=1e-5)
+
+
+SMALL = (
+    sphere("bulb", 0.15, (0, 0.1, 0), glows(6, 5, 3)),
+    cube("plate", (0.3, 0.02, 0.3), (0, -0.3, 0), BLACK),
+)
+
+
+@pytest.fixture(scope="module")
+def small(mi, tmp_path_factory):
+    """A bulb above a black plate: all of its light is straight."""
+    return baked(tmp_path_factory.mktemp("small"), *SMALL, *CORNERS, paths=1 << 18)
+
+
+def received(scene, points, samples=1 << 12):
+    """Irradiance of points that look at the bulb."""
+    from benchmarks.inside_box.received import received_irradiance
+
+    return received_irradiance(scene, points, [0, 0.1, 0] - points, samples)
+
+
+def without_emitters(asset):
+    """An asset whose geometry is black, and which has the light field still."""
+    shapes = tuple(
+        each if each["radiance"] is None else {**each, "radiance": [0.0, 0.0, 0.0]}
+        for each in asset.geometry.shapes
+    )
+    return dataclasses.replace(asset, geometry=dataclasses.replace(asset.geometry, shapes=shapes))
+
+
+# Outside, on a face, inside, and in the shadow of the plate outside and inside.
+AROUND = np.array([[3, 1, 0.5], [1.03, 0.4, 0.1], [0.4, 0.5, 0.3], [0, -2, 0.1], [0.05, -0.5, 0]])
+FREE = np.pi * 0.15**2 / ((AROUND - [0, 0.1, 0]) ** 2).sum(axis=1) * [1, 1, 1, 0, 0]
+RADIANCE = np.array([6.0, 5.0, 3.0])
+SPECK = {"type": "sphere", "radius": 0.01, "center": [0.9, -0.9, 0.9]}
+
+
+def test_straight_light_comes_from_emitters_alone(mi, small):
+    """The light field adds nothing to it; without the emitters it is dark."""
+    _, asset = small
+    assert not asset.light_field.bent.any()
+    for dark in (False, True):
+        shown = without_emitters(asset) if dark else asset
+        lamp = lumitree.shape(shown, appearance="geometry")
+        light = received(mi.load_dict({"type": "scene", "lamp": lamp, "speck": SPECK}), AROUND)
+        expected = 0 * FREE if dark else FREE
+        assert light / RADIANCE == pytest.approx(
+            np.repeat(expected[:, None], 3, axis=1), rel=0.03, abs=1e-6
+        )
+
+
+def test_light_of_glass_comes_from_the_light_field_alone(mi, tmp_path):
+    """Nothing is straight behind glass: without the emitters it is as bright."""
+    bulb = sphere("bulb", 0.15, (0, 0.1, 0), glows(6, 5, 3))
+    asset = baked(
+        tmp_path, bulb, sphere("glass", 0.3, (0, 0.1, 0), GLASS), *CORNERS, paths=1 << 18
+    )[1]
+    assert not asset.light_field.has_straight_light
+    found = []
+    for shown in (asset, without_emitters(asset)):
+        lamp = lumitree.shape(shown, appearance="geometry")
+        scene = mi.load_dict({"type": "scene", "lamp": lamp, "speck": SPECK})
+        found.append(received(scene, AROUND[:3]))
+    assert found[0] == pytest.approx(found[1], rel=0.05)
+    assert found[0] / RADIANCE == pytest.approx(np.repeat(FREE[:3, None], 3, axis=1), rel=0.25)
+
+
+@pytest.mark.parametrize(
+    ("appearance", "sampling"),
+    [("geometry", "uniform"), ("field", "emission"), ("field", "uniform")],
+)
+def test_lamps_whose_straight_light_is_stored_send_all_of_it(mi, small, appearance, sampling):
+    """As much as is traced, but for the noise of single bins."""
+    lamp = lumitree.shape(small[1], appearance=appearance, sampling=sampling)
+    turn = np.linspace(0, 2 * np.pi, 32, endpoint=False)
+    ring = np.stack([3 * np.cos(turn), 0.1 + 0 * turn, 3 * np.sin(turn)], axis=1)
+    light = received(mi.load_dict({"type": "scene", "lamp": lamp}), ring).mean(axis=0)
+    assert light / RADIANCE == pytest.approx(np.pi * 0.15**2 / 9, rel=0.03)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("appearance", ["geometry", "field"])
+def test_other_integrators_get_all_of_the_light(mi, small, appearance):
+    """A floor far below the lamp is as bright as under the explicit lamp, but for the blur."""
+    lamp, asset = small
+    floor = {"floor": room(mi)["floor"], "face": room(mi)["face"]}
+    sensor = camera(mi, [0, 0.5, 6], [0, -1.5, 3], 40)
+    shown = {"lamp": lumitree.shape(asset, appearance=appearance)}
+    found = blocks(mi, floor | shown, sensor, spp=256, integrator="volpath")
+    explicit = blocks(mi, floor | place_shapes(lamp, np.eye(4)), sensor, spp=256, integrator="path")
+    assert_alike(found, explicit, 0.06)
+    assert found[0].mean() == pytest.approx(explicit[0].mean(), rel=0.02)
+
+
+@pytest.mark.slow
+def test_two_lamps_and_an_environment(mi, lamps, small):
+    """One stands in the other's light and in its box, and both in the light of a sky."""
+    things = room(mi) | {
+        "sky": {"type": "constant", "radiance": {"type": "rgb", "value": [0.02, 0.03, 0.05]}}
+    }
+    explicit, found = dict(things), dict(things)
+    # The second lamp's bulb shines through the first one's panes, and is behind its mask.
+    places = np.eye(4), similarity(rotation([0, 0, 1], 30), 0.7, [1.1, -0.5, 0.2])
+    for i, ((lamp, asset), place) in enumerate(zip((lamps("panes"), small), places, strict=True)):
+        found[f"lamp{i}"] = lumitree.shape(asset, place, appearance="geometry")
+        shapes = place_shapes(lamp, place).items()
+        explicit |= {f"lamp{i}_{name}": each for name, each in shapes}
+    del explicit["inside"], found["inside"]
+    for name in ("all", "inside"):
+        sensor = views(mi)[name]
+        assert_alike(
+            blocks(mi, found, sensor, spp=128),
+            blocks(mi, explicit, sensor, spp=512, integrator="volpath"),
+            0.03,
+        )
+
+
+@pytest.mark.slow
+def test_illuminance_of_straight_light(mi, small):
+    """As the closed form, outside and inside the box; and with reflections as the explicit lamp."""
+    lamp, asset = small
+    from lumitree.core.photometry import LUMENS_PER_WATT, luminance
+
+    things = {"type": "scene", "floor": room(mi)["floor"], "face": room(mi)["face"]}
+    points = np.array([[3, 1, 0.5], [0.4, 0.5, 0.3], [0, -1.45, 0.1], [2, -1.45, 1]])
+    normals = [0, 0.1, 0] - points
+    options = {"points": points, "normals": normals, "error": 0.01, "progress": None}
+    shown = {"lamp": lumitree.shape(asset, appearance="geometry")}
+    found = lumitree.illuminance(things | shown, **options)
+    expected = np.pi * 0.15**2 / (normals**2).sum(axis=1) * luminance(RADIANCE)
+    expected *= LUMENS_PER_WATT / luminance(np.ones(3)) * [1, 1, 0, 1]
+    assert found.direct == pytest.approx(expected, rel=0.04, abs=1e-3 * expected.max())
+    explicit = lumitree.illuminance(things | place_shapes(lamp, np.eye(4)), **options)
+    assert found.total == pytest.approx(explicit.total, rel=0.05)
+    assert (found.total > 1.001 * found.direct).any()

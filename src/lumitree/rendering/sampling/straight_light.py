@@ -116,7 +116,7 @@ class StraightLight:
         self._intensity = on_device(mi.Float, np.stack([seen, bare]))
         self._clusters = parameter(mi.UInt32, len(flux))
         self._around = ReceiverCells(half_extents, *_RECEIVERS)
-        scale = parameter(mi.Float, max(float(bare.max()), 1e-30))
+        scale = parameter(mi.Float, max(float(seen.max()), 1e-30))
         self._table = cell_table(self._around, self.corners, self._towards, scale, flux)
 
     def _offset(self, x, cluster, active):
