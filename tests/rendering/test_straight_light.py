@@ -12,6 +12,7 @@ from lumitree.lamp.stored_geometry import stored_geometry
 from lumitree.rendering.scene import place_shapes
 from support.explicit_lamps import BLACK, assert_alike, baked, blocks, camera
 from support.lamps import GLASS, cube, lamp_of, sphere
+from support.slow import slow
 
 
 def glows(*radiance, flip=False):
@@ -291,16 +292,39 @@ def test_images_of_open_emitters(mi, lamps, name, view):
     assert_alike(found, blocks(mi, explicit, sensor, spp=512, integrator=integrator), 0.03)
 
 
-def test_emitters_whose_plane_has_the_origin_of_the_scene(mi, tmp_path):
+def received(scene, points, normals, samples=1 << 12):
+    """Irradiance of points of a scene, in a box too, by emitter sampling and rays of a BSDF."""
+    from benchmarks.inside_box.received import received_irradiance
+
+    return received_irradiance(scene, points, normals, samples)
+
+
+@pytest.fixture(scope="module")
+def panel(mi, tmp_path_factory):
+    """A panel in the plane z = 0."""
+    shape = placed_shape("rectangle", "panel", glows(3, 2, 1), (0.5, 0.5, 1))
+    return baked(tmp_path_factory.mktemp("panel"), shape, *CORNERS, paths=1 << 16)[1]
+
+
+def test_emitters_whose_plane_has_the_origin_of_the_scene(mi, panel):
     """The camera sees them: emitter sampling could not have found what it sees."""
-    panel = placed_shape("rectangle", "panel", glows(3, 2, 1), (0.5, 0.5, 1))
-    asset = baked(tmp_path, panel, *CORNERS, paths=1 << 16)[1]
     ball = {"type": "sphere", "radius": 0.1, "center": [900, 0, 0], "emitter": {"type": "area"}}
-    things = {"lamp": lumitree.shape(asset, appearance="geometry"), "ball": ball}
+    things = {"lamp": lumitree.shape(panel, appearance="geometry"), "ball": ball}
     seen, _ = blocks(mi, things, camera(mi, [0.3, 0.2, 4], [0, 0, 0], 10), spp=1, passes=2)
     assert seen == pytest.approx(2, rel=1e-5)
     far, _ = blocks(mi, things, camera(mi, [900, 0, 1], [900, 0, 0], 3), spp=1, passes=2)
     assert far == pytest.approx(1, rel=1e-5)
+
+
+def test_receivers_near_an_emitter(mi, panel):
+    """They get what a hemisphere of its radiance gives, without rare bright samples."""
+    heights = np.array([1e-2, 1e-3, 1e-4])
+    points = np.stack([0 * heights + 0.1, 0 * heights + 0.1, heights], axis=1)
+    scene = mi.load_dict({"type": "scene", "lamp": lumitree.shape(panel, appearance="geometry")})
+    square = np.array([[-0.5, -0.5, 0], [0.5, -0.5, 0], [0.5, 0.5, 0], [-0.5, 0.5, 0]])
+    expected = [of_polygon(square, x, np.array([0, 0, -1])) for x in points]
+    light = received(scene, points, np.tile([0, 0, -1], (3, 1))) / [3, 2, 1]
+    assert light == pytest.approx(np.repeat(np.reshape(expected, (3, 1)), 3, axis=1), rel=0.02)
 
 
 SMALL = (
@@ -312,14 +336,7 @@ SMALL = (
 @pytest.fixture(scope="module")
 def small(mi, tmp_path_factory):
     """A bulb above a black plate: all of its light is straight."""
-    return baked(tmp_path_factory.mktemp("small"), *SMALL, *CORNERS, paths=1 << 18)
-
-
-def received(scene, points, samples=1 << 12):
-    """Irradiance of points that look at the bulb."""
-    from benchmarks.inside_box.received import received_irradiance
-
-    return received_irradiance(scene, points, [0, 0.1, 0] - points, samples)
+    return baked(tmp_path_factory.mktemp("small"), *SMALL, *CORNERS)
 
 
 def without_emitters(asset):
@@ -333,7 +350,8 @@ def without_emitters(asset):
 
 # Outside, on a face, inside, and in the shadow of the plate outside and inside.
 AROUND = np.array([[3, 1, 0.5], [1.03, 0.4, 0.1], [0.4, 0.5, 0.3], [0, -2, 0.1], [0.05, -0.5, 0]])
-FREE = np.pi * 0.15**2 / ((AROUND - [0, 0.1, 0]) ** 2).sum(axis=1) * [1, 1, 1, 0, 0]
+TO_BULB = [0, 0.1, 0] - AROUND
+FREE = np.pi * 0.15**2 / (TO_BULB**2).sum(axis=1) * [1, 1, 1, 0, 0]
 RADIANCE = np.array([6.0, 5.0, 3.0])
 SPECK = {"type": "sphere", "radius": 0.01, "center": [0.9, -0.9, 0.9]}
 
@@ -345,7 +363,9 @@ def test_straight_light_comes_from_emitters_alone(mi, small):
     for dark in (False, True):
         shown = without_emitters(asset) if dark else asset
         lamp = lumitree.shape(shown, appearance="geometry")
-        light = received(mi.load_dict({"type": "scene", "lamp": lamp, "speck": SPECK}), AROUND)
+        light = received(
+            mi.load_dict({"type": "scene", "lamp": lamp, "speck": SPECK}), AROUND, TO_BULB
+        )
         expected = 0 * FREE if dark else FREE
         assert light / RADIANCE == pytest.approx(
             np.repeat(expected[:, None], 3, axis=1), rel=0.03, abs=1e-6
@@ -363,36 +383,34 @@ def test_light_of_glass_comes_from_the_light_field_alone(mi, tmp_path):
     for shown in (asset, without_emitters(asset)):
         lamp = lumitree.shape(shown, appearance="geometry")
         scene = mi.load_dict({"type": "scene", "lamp": lamp, "speck": SPECK})
-        found.append(received(scene, AROUND[:3]))
+        found.append(received(scene, AROUND[:3], TO_BULB[:3]))
     assert found[0] == pytest.approx(found[1], rel=0.05)
     assert found[0] / RADIANCE == pytest.approx(np.repeat(FREE[:3, None], 3, axis=1), rel=0.25)
 
 
 @pytest.mark.parametrize(
-    ("appearance", "sampling"),
-    [("geometry", "uniform"), ("field", "emission"), ("field", "uniform")],
+    ("integrator", "appearance", "sampling"),
+    [
+        ("lumitree_path", "geometry", "uniform"),
+        slow("lumitree_path", "field", "emission"),
+        slow("lumitree_path", "field", "uniform"),
+        slow("volpath", "geometry", "emission"),
+        slow("volpath", "field", "emission"),
+    ],
 )
-def test_lamps_whose_straight_light_is_stored_send_all_of_it(mi, small, appearance, sampling):
-    """As much as is traced, but for the noise of single bins."""
-    lamp = lumitree.shape(small[1], appearance=appearance, sampling=sampling)
-    turn = np.linspace(0, 2 * np.pi, 32, endpoint=False)
-    ring = np.stack([3 * np.cos(turn), 0.1 + 0 * turn, 3 * np.sin(turn)], axis=1)
-    light = received(mi.load_dict({"type": "scene", "lamp": lamp}), ring).mean(axis=0)
-    assert light / RADIANCE == pytest.approx(np.pi * 0.15**2 / 9, rel=0.03)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("appearance", ["geometry", "field"])
-def test_other_integrators_get_all_of_the_light(mi, small, appearance):
-    """A floor far below the lamp is as bright as under the explicit lamp, but for the blur."""
+def test_where_no_light_is_traced_the_light_field_has_all(
+    mi, small, integrator, appearance, sampling
+):
+    """A floor beside the plate's shadow is as bright as under the explicit lamp."""
     lamp, asset = small
-    floor = {"floor": room(mi)["floor"], "face": room(mi)["face"]}
-    sensor = camera(mi, [0, 0.5, 6], [0, -1.5, 3], 40)
-    shown = {"lamp": lumitree.shape(asset, appearance=appearance)}
-    found = blocks(mi, floor | shown, sensor, spp=256, integrator="volpath")
-    explicit = blocks(mi, floor | place_shapes(lamp, np.eye(4)), sensor, spp=256, integrator="path")
-    assert_alike(found, explicit, 0.06)
-    assert found[0].mean() == pytest.approx(explicit[0].mean(), rel=0.02)
+    floor, sensor = {"floor": room(mi)["floor"]}, camera(mi, [0, 0.5, 6], [0, -1.5, 3.6], 16)
+    shown = {"lamp": lumitree.shape(asset, appearance=appearance, sampling=sampling)}
+    spp = 2048 if sampling == "uniform" else 64
+    found = blocks(mi, floor | shown, sensor, spp=spp, integrator=integrator, passes=8)
+    explicit = floor | place_shapes(lamp, np.eye(4))
+    expected = blocks(mi, explicit, sensor, spp=64, integrator="path", passes=8)
+    assert_alike(found, expected, 0.06)
+    assert found[0].mean() == pytest.approx(expected[0].mean(), rel=0.015)
 
 
 @pytest.mark.slow
@@ -422,7 +440,7 @@ def test_two_lamps_and_an_environment(mi, lamps, small):
 def test_illuminance_of_straight_light(mi, small):
     """As the closed form, outside and inside the box; and with reflections as the explicit lamp."""
     lamp, asset = small
-    from lumitree.core.photometry import LUMENS_PER_WATT, luminance
+    from lumitree.core.photometry import luminance
 
     things = {"type": "scene", "floor": room(mi)["floor"], "face": room(mi)["face"]}
     points = np.array([[3, 1, 0.5], [0.4, 0.5, 0.3], [0, -1.45, 0.1], [2, -1.45, 1]])
@@ -430,8 +448,7 @@ def test_illuminance_of_straight_light(mi, small):
     options = {"points": points, "normals": normals, "error": 0.01, "progress": None}
     shown = {"lamp": lumitree.shape(asset, appearance="geometry")}
     found = lumitree.illuminance(things | shown, **options)
-    expected = np.pi * 0.15**2 / (normals**2).sum(axis=1) * luminance(RADIANCE)
-    expected *= LUMENS_PER_WATT / luminance(np.ones(3)) * [1, 1, 0, 1]
+    expected = np.pi * 0.15**2 / (normals**2).sum(axis=1) * luminance(RADIANCE) * [1, 1, 0, 1]
     assert found.direct == pytest.approx(expected, rel=0.04, abs=1e-3 * expected.max())
     explicit = lumitree.illuminance(things | place_shapes(lamp, np.eye(4)), **options)
     assert found.total == pytest.approx(explicit.total, rel=0.05)
