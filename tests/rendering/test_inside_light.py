@@ -150,7 +150,7 @@ def test_points_and_rays_share_the_light(mi):
     sample = uniform_samples(mi, count).next_2d()
     every, end = mi.Bool(True), mi.Float(dr.inf)
     direction, target = light.sample_point(x, sample, every)
-    weight = light.contribution(direction, target, mi.Float(b), every)
+    weight = light.contribution(target, mi.Float(b), every)
     plain = mi.warp.square_to_uniform_sphere(uniform_samples(mi, count, 1).next_2d())
     rest = light.received(x, x, plain, mi.Float(1 / b), end, every)
     whole = light.received(x, x, plain, mi.Float(0), end, every)

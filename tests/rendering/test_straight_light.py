@@ -208,6 +208,26 @@ def sharp(folder, mi, name):
             ),
             *CORNERS,
         )
+    if name == "mixture":
+        # Light that is straight, and light that glass and grey surfaces have bent.
+        grey = '<bsdf type="diffuse"><rgb name="reflectance" value="0.6,0.5,0.4"/></bsdf>'
+        light = '<emitter type="area"><rgb name="radiance" value="2,3,4"/></emitter>'
+        half = f'<bsdf type="mask"><float name="opacity" value="0.5"/>{BLACK}</bsdf>'
+        return (
+            bulb,
+            cube("plate", (0.5, 0.02, 0.5), (0, -0.3, 0), grey),
+            sphere("filament", 0.2, (0.6, 0.4, 0.2), glows(2, 4, 3)),
+            sphere("glass", 0.3, (0.6, 0.4, 0.2), GLASS),
+            placed_shape("disk", "veil", half + light, (0.3,) * 3, (0, 1, 0, -50), (-0.6, 0.2, 0)),
+            placed_shape(
+                "sphere",
+                "mirrored",
+                glows(4, 1, 1, flip=True),
+                (-0.15, 0.15, 0.15),
+                at=(-0.4, 0.5, -0.6),
+            ),
+            *CORNERS,
+        )
     smoke = (
         '<medium type="homogeneous" name="{}"><rgb name="sigma_t" value="0.2,0.4,0.8"/>'
         '<float name="scale" value="4"/><rgb name="albedo" value="0,0,0"/></medium>'
@@ -388,6 +408,21 @@ def test_light_of_glass_comes_from_the_light_field_alone(mi, tmp_path):
     assert found[0] / RADIANCE == pytest.approx(np.repeat(FREE[:3, None], 3, axis=1), rel=0.25)
 
 
+def test_bent_light_is_the_same_beside_straight_light(mi, tmp_path):
+    """In the box, receivers that see a grey plate and no emitter, by a field with many empty bins."""
+    grey = BLACK.replace("0,0,0", "0.5,0.5,0.5")
+    asset = baked(tmp_path, SMALL[0], SMALL[1].replace(BLACK, grey), *CORNERS, paths=1 << 15)[1]
+    points = np.array([[0.2, -0.1, 0.2], [0.6, 0.3, 0], [-0.4, 0, 0.5]])
+    normals = np.array([[0, -1, 0], [1, -1, 0], [-0.2, -1, 0.2]])
+    alone = dataclasses.replace(asset, geometry=None, light_field=asset.light_field.bent_light)
+    found = []
+    for shown, appearance in ((asset, "geometry"), (alone, "field")):
+        lamp = lumitree.shape(shown, appearance=appearance)
+        scene = mi.load_dict({"type": "scene", "lamp": lamp, "speck": SPECK})
+        found.append(received(scene, points, normals, 1 << 15))
+    assert found[0] == pytest.approx(found[1], rel=0.03)
+
+
 @pytest.mark.parametrize(
     ("integrator", "appearance", "sampling"),
     [
@@ -414,15 +449,19 @@ def test_where_no_light_is_traced_the_light_field_has_all(
 
 
 @pytest.mark.slow
-def test_two_lamps_and_an_environment(mi, lamps, small):
-    """One stands in the other's light and in its box, and both in the light of a sky."""
+def test_three_lamps_and_an_environment(mi, lamps, small):
+    """Two of one kind stand in the light and the box of another, and all in the light of a sky."""
     things = room(mi) | {
         "sky": {"type": "constant", "radiance": {"type": "rgb", "value": [0.02, 0.03, 0.05]}}
     }
     explicit, found = dict(things), dict(things)
-    # The second lamp's bulb shines through the first one's panes, and is behind its mask.
-    places = np.eye(4), similarity(rotation([0, 0, 1], 30), 0.7, [1.1, -0.5, 0.2])
-    for i, ((lamp, asset), place) in enumerate(zip((lamps("panes"), small), places, strict=True)):
+    # Bulbs shine through the first lamp's panes, and are behind its mask.
+    bulbs = (
+        similarity(rotation([0, 0, 1], 30), 0.7, [1.1, -0.5, 0.2]),
+        similarity(rotation([1, 0, 0], 50), 0.3, [-0.9, -0.8, 0.8]),
+    )
+    placed = [(lamps("panes"), np.eye(4)), *((small, place) for place in bulbs)]
+    for i, ((lamp, asset), place) in enumerate(placed):
         found[f"lamp{i}"] = lumitree.shape(asset, place, appearance="geometry")
         shapes = place_shapes(lamp, place).items()
         explicit |= {f"lamp{i}_{name}": each for name, each in shapes}
