@@ -95,7 +95,11 @@ PANELS = (
     ((0.02, 0.02, 1), (0, 1, 0, 0), (0.6, 0, 0.2), (900, 100, 10)),
     ((0.3, 0.3, 1), (0.6, 0, 0.8, 130), (-0.5, -0.2, 0), (0, 4, 0)),
 )
-BALLS = (((-0.4, 0.5, 0.5), 0.02, (500, 400, 0)), ((0.7, -0.6, -0.5), 0.2, (3, 0, 5)))
+BALLS = (
+    ((-0.4, 0.5, 0.5), 0.02, (500, 400, 0)),
+    ((0.7, -0.6, -0.5), 0.2, (3, 0, 5)),
+    ((0.9, -0.9, 0.9), 0.05, (0, 0, 0)),
+)
 CORNERS = (cube("left", 0.03, (-1, -1, -1), BLACK), cube("right", 0.03, (1, 1, 1), BLACK))
 
 
@@ -319,9 +323,10 @@ def received(scene, points, normals, samples=1 << 12):
 
 @pytest.fixture(scope="module")
 def panel(mi, tmp_path_factory):
-    """A panel in the plane z = 0."""
+    """A panel in the plane z = 0, and a black emitter far from it."""
     shape = placed_shape("rectangle", "panel", glows(3, 2, 1), (0.5, 0.5, 1))
-    return baked(tmp_path_factory.mktemp("panel"), shape, *CORNERS, paths=1 << 16)[1]
+    black = sphere("black", 0.05, (0.9, -0.9, 0.9), glows(0, 0, 0))
+    return baked(tmp_path_factory.mktemp("panel"), shape, black, *CORNERS, paths=1 << 16)[1]
 
 
 def test_emitters_whose_plane_has_the_origin_of_the_scene(mi, panel):
