@@ -48,21 +48,21 @@ def write_mesh(folder, name, **columns):
     (folder / f"{name}.ply").write_text(PLY.format(header, text))
 
 
-def described():
+def described(flips):
     """Kind of a shape, what it holds besides its place and light, and whether it is mirrored."""
     mesh = '<string name="filename" value="{0}.ply"/>'
     plain = '<boolean name="face_normals" value="true"/>'
-    turned = "<float name='radius' value='0.4'/>"
+    ball = "<float name='radius' value='0.4'/>"
     ends = '<point name="p0" x="0.1" y="-0.3" z="0"/><point name="p1" x="0.2" y="0.4" z="0.5"/>'
     yield from (
         (name, kind, inside + flip, mirror)
         for mirror in (False, True)
-        for flip in ("", FLIP)
+        for flip in flips
         for name, kind, inside in (
             ("rectangle", "rectangle", ""),
             ("disk", "disk", ""),
             ("cylinder", "cylinder", ends + "<float name='radius' value='0.2'/>"),
-            ("sphere", "sphere", turned),
+            ("sphere", "sphere", ball),
             ("flat", "ply", mesh.format("plain") + plain),
             ("smooth", "ply", mesh.format("smooth")),
         )
@@ -70,7 +70,7 @@ def described():
     yield "mapped", "ply", mesh.format("mapped"), False
 
 
-def lamp_with(folder, mi, light):
+def lamp_with(folder, mi, light, flips):
     """A lamp of one of each kind, far enough apart that none is in the way of another."""
     write_mesh(folder, "plain")
     write_mesh(folder, "smooth", normals=NORMALS)
@@ -78,7 +78,7 @@ def lamp_with(folder, mi, light):
     image = np.random.default_rng(1).uniform(0.1, 5, (5, 7, 3)).astype(np.float32)
     mi.Bitmap(image).write(str(folder / "image.exr"))
     shapes = []
-    for i, (name, kind, inside, mirror) in enumerate(described()):
+    for i, (name, kind, inside, mirror) in enumerate(described(flips)):
         # Rectangles and disks may be stretched.
         size = (0.7, 0.4, 0.6) if kind in ("rectangle", "disk") else (0.6, 0.6, 0.6)
         turn = f'<rotate x="0.36" y="0.48" z="0.8" angle="{20 + 25 * i}"/>'
@@ -134,14 +134,14 @@ def sampled(mi, lamp):
 @pytest.fixture(scope="module")
 def plain(mi, tmp_path_factory):
     light = lambda i: LIGHT.format(1 + i, 2, 30 - i)  # noqa: E731
-    return sampled(mi, lamp_with(tmp_path_factory.mktemp("plain"), mi, light))
+    return sampled(mi, lamp_with(tmp_path_factory.mktemp("plain"), mi, light, ("", FLIP)))
 
 
 @pytest.fixture(scope="module")
 def textured(mi, tmp_path_factory):
     light = lambda i: IMAGE.format(["bilinear", "nearest"][i % 2])  # noqa: E731
     folder = tmp_path_factory.mktemp("textured")
-    return sampled(mi, lamp_with(folder, mi, light))
+    return sampled(mi, lamp_with(folder, mi, light, ("",)))
 
 
 @pytest.mark.parametrize("which", ["plain", "textured"])
