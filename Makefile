@@ -34,8 +34,8 @@ gallery: $(VENV)/.installed
 paper: $(VENV)/.installed-dev
 	$(BIN)/python -m benchmarks paper --scale cpu
 
-# What an NVIDIA GPU does, in at most 25 minutes; again to go on (docs/how-to/gpu.md).
-MINUTES ?= 25
+# What an NVIDIA GPU does, in at most 14 minutes; again to go on (docs/how-to/gpu.md).
+MINUTES ?= 14
 gpu: $(VENV)/.installed-dev
 	$(BIN)/python -m benchmarks gpu --minutes $(MINUTES)
 

@@ -8,6 +8,6 @@ it measures, and it has two functions:
 * `run(options)` measures with the parsed options, prints its tables, which include a ratio against
   a baseline measured in the same run, and writes its results with `common.results.Results`.
 
-`common/` has what benchmarks share, `equal_error/` what times at equal error need, `paper_tables/`
-the cells of `paper`.
+`common/` is shared by all benchmarks, `equal_error/` by the measurements of time at equal error;
+`paper_tables/` has the cells of `paper`.
 """

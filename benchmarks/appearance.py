@@ -27,7 +27,7 @@ from benchmarks.common.options import add_pixels, add_seed
 from benchmarks.common.results import Results, notes
 from benchmarks.common.tables import Table
 from benchmarks.common.timing import Job, interleaved
-from benchmarks.equal_error.error_against_time import display_rmse, ratio_of_means
+from benchmarks.equal_error.errors import display_rmse, ratio_of_means
 from benchmarks.equal_error.pairs import shows_lamp
 from lumitree.asset.asset import PARTS
 from lumitree.lamp.source import LuminaireSource

@@ -5,7 +5,7 @@
 Each luminaire hangs in the demonstration's room, in turn as an emissive sphere of the same flux
 (the baseline), as explicit geometry, as an asset with a light field alone, and as one with
 geometry. Writes `illumination.md` and `illumination.json`: the bake (seconds, bytes, irradiance
-error); CPU time of a sample over the sphere's and over the explicit lamp's; variance of the pixels
+error); time of a sample over the sphere's and over the explicit lamp's; variance of the pixels
 that show diffuse surfaces, relative to their squared mean and without the 0.1 % of largest, over
 the sphere's; and the product of time and variance.
 
@@ -27,8 +27,8 @@ from benchmarks.common.lamps import add_luminaires, file_name, sources
 from benchmarks.common.options import add_pixels, add_seed
 from benchmarks.common.results import Results, notes
 from benchmarks.common.tables import Table
-from benchmarks.common.timing import Job, interleaved, ratios
-from benchmarks.equal_error.error_against_time import trimmed_mean
+from benchmarks.common.timing import Job, device_clock, interleaved, ratios
+from benchmarks.equal_error.errors import trimmed_mean
 from lumitree.lamp.source import LuminaireSource
 
 PATH_DEPTH = 8
@@ -87,7 +87,7 @@ def rooms(source: LuminaireSource, asset: Any, width: int) -> dict[str, Any]:
 def render(
     scenes: dict[str, Any], mask: NDArray[np.bool_], options: argparse.Namespace
 ) -> tuple[dict[str, float], dict[str, float]]:
-    """CPU seconds of a pass, and relative variance of a sample in the pixels of the mask."""
+    """Seconds of a pass, and relative variance of a sample in the pixels of the mask."""
     import mitsuba as mi
 
     from lumitree.rendering.passes import Budget, render_passes
@@ -104,7 +104,7 @@ def render(
 
         return lambda index: lambda: take(index)
 
-    times = interleaved({name: job(name) for name in scenes}, options.passes, clock="cpu")
+    times = interleaved({name: job(name) for name in scenes}, options.passes, device_clock())
     variances = {}
     for name, images in passes.items():
         # The first pass compiles kernels, but is an image as any.
@@ -167,7 +167,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    results = Results(options, path_depth=PATH_DEPTH, baseline="emissive sphere", clock="cpu")
+    results = Results(
+        options, path_depth=PATH_DEPTH, baseline="emissive sphere", clock=device_clock()
+    )
     rows: list[dict] = []
     with tempfile.TemporaryDirectory() as scratch:
         folder = options.assets or Path(scratch)

@@ -34,7 +34,7 @@ from benchmarks.common.options import add_pixels, add_seed
 from benchmarks.common.results import Results, notes
 from benchmarks.common.tables import Table
 from benchmarks.common.timing import MIN_ROUNDS, Clock
-from benchmarks.equal_error.error_against_time import trimmed_mean
+from benchmarks.equal_error.errors import trimmed_mean
 
 PATH_DEPTH = 8
 # Metres.
@@ -186,15 +186,7 @@ def _with_ratios(rows: list[dict]) -> list[dict]:
 
 def table(rows: list[dict]) -> Table:
     """A line for each case."""
-    heads = [
-        "lamp",
-        "shown by",
-        "room",
-        "lamps",
-        "sample, µs",
-        "recording, s",
-        "time / one",
-    ]
+    heads = ["lamp", "shown by", "room", "lamps", "sample, µs", "recording, s", "time / one"]
     heads += ["relative variance", "variance / one", "product / one"]
     lines = [
         [

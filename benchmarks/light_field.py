@@ -2,7 +2,7 @@
 
     python -m benchmarks light_field [LUMINAIRE ...]
 
-Writes `light_field.md`, `light_field.json` and `light_field.png`. For each luminaire and each grid:
+Writes `light_field.md` and `light_field.json`. For each luminaire and each grid:
 seconds of the bake, bytes, and the error of the irradiance on the six faces of a cube around the
 lamp and on a plane that touches its box, against independent light paths. The baseline is the grid
 of two cells a side, whose RMS error is the unit of the last column.
@@ -14,14 +14,9 @@ import tempfile
 import time
 from pathlib import Path
 
-import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-
 from benchmarks.common.options import add_seed
 from benchmarks.common.results import Results, notes
 from benchmarks.common.tables import Table
-from lumitree.core.files import atomic_path
 from lumitree.lamp.builtin.registry import BUILTIN
 
 # Depth of the grid, and bins of direction a side; the first is the baseline.
@@ -98,28 +93,6 @@ def table(rows: list[dict]) -> Table:
     return Table(heads, lines)
 
 
-def draw(rows: list[dict], path: Path) -> None:
-    """Irradiance error against bytes, a line for each luminaire and number of bins."""
-    figure = Figure(figsize=(11.5, 4.2), layout="constrained")
-    axes = figure.subplots(1, 2, sharex=True)
-    titles = ("Mean of the six faces of a cube", "Plane that touches the box")
-    for axis, title, faces in zip(axes, titles, (slice(6), slice(6, 7)), strict=True):
-        for number, name in enumerate(dict.fromkeys(row["luminaire"] for row in rows)):
-            for resolution, style in ((32, "o-"), (64, "s:")):
-                own = [r for r in rows if (r["luminaire"], r["resolution"]) == (name, resolution)]
-                size = [row["bytes"] / 1e6 for row in own]
-                error = [100 * np.mean(row["rms"][faces]) for row in own]
-                label = f"{name}, {resolution}² bins"
-                axis.plot(size, error, style, color=f"C{number}", ms=3, label=label)
-        axis.set(xscale="log", yscale="log", title=title, xlabel="MB", ylabel="RMS error, %")
-        axis.grid(alpha=0.3, which="both")
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside right center", fontsize=8)
-    FigureCanvasAgg(figure)
-    with atomic_path(path) as temporary:
-        figure.savefig(temporary, dpi=110, format="png")
-
-
 def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("luminaires", metavar="LUMINAIRE", nargs="*", default=list(BUILTIN))
     parser.add_argument(
@@ -137,5 +110,4 @@ def run(options: argparse.Namespace) -> None:
         text = f"# Light fields\n\n{table(rows).markdown()}\n{notes(facts)}"
         results.write({"setting": facts, "rows": rows}, text)
         print(f"measured {name}", file=sys.stderr)
-    draw(rows, results.folder / "light.png")
     print(table(rows).text())

@@ -1,6 +1,6 @@
-"""Light inside the box of a lamp: irradiance, noise, bytes, and a desk scene at equal time.
+"""Light inside the box of a lamp: irradiance and noise.
 
-    python -m benchmarks near_field [--data FOLDER] [--desk SCENE] [LUMINAIRE ...]
+    python -m benchmarks near_field [--data FOLDER] [LUMINAIRE ...]
 
 Irradiance of both sides of patches on planes across the lamp's box: four horizontal ones (3, 25, 50
 and 75 % of the box's height), one that touches the box from below (2 % below it) and two vertical
@@ -10,21 +10,17 @@ surfaces) or *near*; those in closed parts of the lamp do not count. RMS differe
 noise of either side, which needs two bakes. There are two ways to receive the light: with the
 lamp's surfaces in the scene (`geometry`), and without (`light`).
 
-*Before* is a light field without the light inside the box, which lights receivers
-outside only. Further figures: light in the shadow under a lamp, over that of the brightest patches;
-time times variance of a receiver in the box over that of one just outside it; bytes of an asset
-with the light field alone, and time of its bake, over that of the same light paths and their
-histogram alone. `--data` adds luminaires of others, and `--desk` renders a scene
-with the little lamp, baked and explicit, for the same CPU time; errors are `rmse_display`.
+Further figures: light in the shadow under a lamp, relative to the brightest patches; time times
+variance of a receiver in the box over a receiver just outside it. `--data` adds luminaires of
+others.
 
-Writes `near_field.md`, `near_field.json` and, of the desk, `near_field.png`.
+Writes `near_field.md` and `near_field.json`.
 """
 
 import argparse
 import dataclasses
 import sys
 import tempfile
-import time
 from pathlib import Path
 from typing import Any, Literal
 
@@ -37,12 +33,10 @@ from benchmarks.common.results import Results, notes
 from benchmarks.common.tables import Table
 from benchmarks.inside_box.figures import PatchErrors, masks, over_planes, patch_errors, shadow
 from benchmarks.inside_box.patches import Floats, Rectangle, surroundings
-from lumitree.errors import LumitreeError
 from lumitree.lamp.source import LuminaireSource
 
 LAMPS = ("bulbs", "neoclassical", "arc")
 DATA_LAMPS = ("little_lamp", "megeon_chandelier/luminaire.xml", "stained_glass_lamp")
-DESK_LAMP = "little_lamp"
 # Up is y in all of them.
 HORIZONTAL = tuple(Rectangle(1, height, 8) for height in (0.03, 0.25, 0.5, 0.75))
 TOUCHING = Rectangle(1, -0.02, 8)
@@ -100,16 +94,10 @@ def measure(source: LuminaireSource, folder: Path, options: argparse.Namespace) 
     """A row for a luminaire: its planes, and its other figures."""
     from benchmarks.inside_box.baked import BakedLamp, receiver_noise
 
-    assets, seconds = zip(
-        *(_baked(source, folder, options, number) for number in (0, 1)), strict=True
-    )
+    assets = [_baked(source, folder, options, number) for number in (0, 1)]
     planes, fine = reference_planes(source, options)
     row: dict[str, Any] = {
         "luminaire": assets[0].luminaire,
-        "bytes": [_bytes(asset) for asset in assets],
-        "bytes_before": [_bytes(without_inside(asset)) for asset in assets],
-        "bake_seconds": [each for each in seconds if each is not None],
-        "bake_seconds_before": None if None in seconds else _paths_seconds(source, options.seed),
         "planes": [
             {
                 "plane": plane.rectangle.name,
@@ -136,13 +124,6 @@ def measure(source: LuminaireSource, folder: Path, options: argparse.Namespace) 
         }
         row[way]["shadow"] = _shadow(lamps, fine, options.seed)
         row[way]["noise"] = receiver_noise(lamps[0], _receivers(lamps[0], planes), options.seed)
-    lamps = [BakedLamp(without_inside(asset), "field") for asset in assets]
-    (touching,) = (plane for plane in planes if plane.rectangle is TOUCHING)
-    errors = touching.errors(_baked_patches(lamps, touching, options.seed))["all"]
-    row["before"] = {
-        "touching": errors and dataclasses.asdict(errors),
-        "shadow": _shadow(lamps, fine, options.seed),
-    }
     return row
 
 
@@ -159,41 +140,6 @@ def _baked_patches(lamps: list[Any], plane: Plane, seed: int) -> Floats:
 def _shadow(lamps: list[Any], fine: Plane, seed: int) -> dict[str, float] | None:
     baked = _baked_patches(lamps, fine, seed).mean(axis=(0, 1))
     return shadow(baked, fine.reference.mean(axis=0))
-
-
-def without_inside(asset: Any) -> Any:
-    """An asset with the light alone that leaves the lamp's box."""
-    return dataclasses.replace(
-        asset, light_field=dataclasses.replace(asset.light_field, inside=None)
-    )
-
-
-def _bytes(asset: Any) -> int:
-    """Size of the file of an asset with its light field alone."""
-    import lumitree
-    from lumitree.asset.asset import light_field_asset
-
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "lamp.lumitree"
-        lumitree.save(light_field_asset(asset.light_field, asset.frame, asset.luminaire), path)
-        return path.stat().st_size
-
-
-def _paths_seconds(source: LuminaireSource, seed: int) -> float:
-    """Seconds of the light paths of a bake and their histogram, without the light inside."""
-    from lumitree.lamp.loading import load_luminaire
-    from lumitree.trace.emitted_rays import as_rows
-    from lumitree.trace.histograms import Histogram
-    from lumitree.trace.lamp_rays import LampRays
-    from lumitree.trace.light_field_config import LEAST_DEPTH, LightFieldFitConfig
-
-    luminaire, config = load_luminaire(source), LightFieldFitConfig()
-    start = time.perf_counter()
-    rays, histogram = LampRays(luminaire), Histogram(LEAST_DEPTH, config.resolution)
-    for step in range(-(-config.paths // config.batch)):
-        paths = rays.draw(config.batch, seed + step)
-        histogram.add(paths.origin, paths.direction, as_rows(paths.flux).T)
-    return time.perf_counter() - start
 
 
 def reference_planes(
@@ -232,23 +178,20 @@ def _receivers(lamp: Any, planes: list[Plane]) -> dict[str, list[tuple[Floats, i
     return groups
 
 
-def _baked(
-    source: LuminaireSource, folder: Path, options: argparse.Namespace, number: int
-) -> tuple[Any, float | None]:
-    """An asset, which is baked where it is missing, and the seconds of its light field."""
+def _baked(source: LuminaireSource, folder: Path, options: argparse.Namespace, number: int) -> Any:
+    """An asset, which is baked where it is missing."""
     import lumitree
 
     path = folder / f"{file_name(source)}-{number}.lumitree"
     if path.exists():
-        return lumitree.load(path), None
-    baked = lumitree.bake(
+        return lumitree.load(path)
+    return lumitree.bake(
         source,
         path,
         lumitree.BakeConfig(
             parts=("light", "geometry"), irradiance_paths=0, seed=options.seed + number
         ),
-    )
-    return baked.asset, baked.seconds["light"]
+    ).asset
 
 
 def plane_table(rows: list[dict[str, Any]]) -> Table:
@@ -321,45 +264,6 @@ def _noise_ratio(found: dict[str, Any]) -> float | None:
     return noise and noise["inside"]["product"] / noise["outside"]["product"]
 
 
-def cost_table(rows: list[dict[str, Any]]) -> Table:
-    """Bytes and time of the light field, and what there was before."""
-    lines = []
-    for row in rows:
-        size, size_before = (np.mean(row[name]) / 1e6 for name in ("bytes", "bytes_before"))
-        line = [row["luminaire"], f"{size:.2f} MB", f"{size / size_before:.2f}", "-", "-"]
-        if row["bake_seconds_before"] is not None:
-            seconds = np.mean(row["bake_seconds"])
-            line[3:] = [f"{seconds:.1f} s", f"{seconds / row['bake_seconds_before']:.2f}"]
-        before = row["before"]
-        dark = before["shadow"]
-        lines.append(
-            [*line, *_errors(before["touching"]), "-" if dark is None else f"{dark['baked']:.3f}"]
-        )
-    heads = ["luminaire", "light field", "over before", "its bake", "over before"]
-    heads += ["before, touching: ratio", "RMS", "in shadow"]
-    return Table(heads, lines)
-
-
-def desk_table(found: dict[str, Any]) -> Table:
-    """A line for each lamp of the desk scene, and one of the reference."""
-    lines = [
-        [
-            f"{name} lamp",
-            f"{each['samples']:,}",
-            f"{found['cpu_seconds']:g} s",
-            f"{each['rmse_display']:.1f}",
-            f"{found['lamps']['explicit']['rmse_display'] / each['rmse_display']:.1f}",
-            f"{each['mean_over_reference']:.3f}",
-        ]
-        for name, each in found["lamps"].items()
-    ]
-    own = found["reference"]
-    spp = f"{own['light_spp']:,}"
-    lines.append(["reference, light tracing", spp, "", f"{own['rmse_display']:.1f}", "", "1.000"])
-    heads = ["desk scene", "spp", "CPU time", "rmse_display", "explicit / this", "mean / reference"]
-    return Table(heads, lines)
-
-
 def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("luminaires", metavar="LUMINAIRE", nargs="*", default=list(LAMPS))
     parser.add_argument("--data", metavar="FOLDER", type=Path, help="with the luminaires of others")
@@ -369,17 +273,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--paths", type=int, metavar="N", default=1 << 24, help="light paths of the reference"
     )
-    parser.add_argument("--desk", type=Path, metavar="SCENE", help="scene file; needs --data")
-    parser.add_argument("--seconds", type=float, default=30.0, help="CPU time of the desk's images")
-    parser.add_argument(
-        "--reference", type=float, default=1500.0, help="seconds of the desk's explicit reference"
-    )
     add_seed(parser)
 
 
 def run(options: argparse.Namespace) -> None:
-    if options.desk is not None and options.data is None:
-        raise LumitreeError("--desk is given without --data, where its lamp is; give both")
     results = Results(options, paths=options.paths, baseline="explicit lamp", clock="cpu")
     report: dict[str, Any] = {"luminaires": []}
     with tempfile.TemporaryDirectory() as scratch:
@@ -392,9 +289,6 @@ def run(options: argparse.Namespace) -> None:
             # After every row: all of them take minutes.
             _write(results, report)
             print(f"measured {file_name(source)}", file=sys.stderr)
-        if options.desk is not None:
-            (source,) = (each for each in sources if DESK_LAMP in each.name)
-            report["desk"] = _desk(source, folder, results.folder / "near_field.png", options)
     print(_write(results, report))
 
 
@@ -409,30 +303,10 @@ def _data_sources(data: Path) -> list[LuminaireSource]:
     ]
 
 
-def _desk(
-    source: LuminaireSource, folder: Path, picture: Path, options: argparse.Namespace
-) -> dict[str, Any]:
-    from benchmarks.inside_box.desk import desk
-
-    asset, _ = _baked(source, folder, options, 0)
-    return desk(
-        options.desk,
-        source,
-        asset,
-        folder,
-        picture,
-        seconds=options.seconds,
-        reference_seconds=options.reference,
-        seed=options.seed,
-    )
-
-
 def _write(results: Results, report: dict[str, Any]) -> str:
     """Write the result files; returns the tables as text."""
     rows, facts = report["luminaires"], results.setting()
-    tables = [lamp_table(rows), plane_table(rows), cost_table(rows)]
-    if "desk" in report:
-        tables.append(desk_table(report["desk"]))
+    tables = [lamp_table(rows), plane_table(rows)]
     text = "\n".join(table.markdown() for table in tables)
     results.write({"setting": facts, **report}, f"# Inside the box\n\n{text}\n{notes(facts)}")
     return "\n".join(table.text() for table in tables)

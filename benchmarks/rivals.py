@@ -33,7 +33,7 @@ from benchmarks.common.lamps import file_name
 from benchmarks.common.results import Results, notes
 from benchmarks.common.tables import Table
 from benchmarks.equal_error.batches import LongRun, digest
-from benchmarks.equal_error.readings import DISPLAY_LEVELS
+from benchmarks.equal_error.errors import DISPLAY_LEVELS
 from benchmarks.rival_methods.cycles_methods import cycles_methods
 from benchmarks.rival_methods.denoising import Guides, denoised_noise
 from benchmarks.rival_methods.figures import TOLERANCE, bias_text, figures, time_text
@@ -117,7 +117,7 @@ def measure(name: str, options: argparse.Namespace, output: Path) -> dict[str, A
             noise = denoised_noise(
                 run, guides, mask, runs[BASELINES[0]].mean, options.image_seconds
             )
-            row["methods"][each]["denoised"] = dataclasses.asdict(noise)
+            row["methods"][each]["denoised"] = noise
     except LumitreeError as error:
         print(f"{name}: nothing is denoised: {error}", file=sys.stderr)
     row["images"] = f"rivals-{folder.name}.png"
@@ -126,10 +126,7 @@ def measure(name: str, options: argparse.Namespace, output: Path) -> dict[str, A
 
 
 def compare(
-    name: str,
-    found: dict[str, Method],
-    runs: dict[str, LongRun],
-    mask: Any,
+    name: str, found: dict[str, Method], runs: dict[str, LongRun], mask: Any
 ) -> dict[str, Any]:
     """Figures of all methods of a lamp.
 
@@ -141,15 +138,9 @@ def compare(
     """
     reference = REFERENCE if REFERENCE in runs else BASELINES[0]
     clean = runs[BASELINES[0]].mean
+    whole = {each: clean if found[each].whole_image else None for each in runs}
     rows = {
-        each: figures(
-            run,
-            mask,
-            runs[reference],
-            clean if found[each].whole_image else None,
-            clean,
-        )
-        for each, run in runs.items()
+        each: figures(run, mask, runs[reference], whole[each], clean) for each, run in runs.items()
     }
     products = {base: rows[base].product for base in BASELINES}
     return {

@@ -1,21 +1,16 @@
 """From a luminaire to an image, end to end, with the smallest settings."""
 
-import dataclasses
 import inspect
 import json
 import os
 import re
-import signal
 
 import numpy as np
 import pytest
 
 import lumitree
 from lumitree import demo
-from lumitree.cli import main
-from lumitree.cli.output import print_metrics
 from lumitree.core.frames import rotation, similarity
-from lumitree.core.images import read_exr
 from lumitree.core.work_folder import WorkFolder
 from lumitree.fit.config import NETWORK_BAKES, NetworkConfig
 from lumitree.fit.network.config import PRESETS
@@ -80,25 +75,6 @@ def test_bake_evaluate_render(mi, tiny, tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_irradiance_is_left_out_on_request_and_for_a_dataset(mi, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "lamp.xml").write_text(LAMP)
-    lumitree.save(random_asset(4, half_extents=np.array([1.0, 0.5, 0.5])), "lamp.lumitree")
-    views = {"num_views": 1, "resolution": 16, "samples_per_pixel": 4}
-    lumitree.capture("lamp.xml", "views", **views, split="test")
-    for target, options in (("views", {}), ("lamp.xml", {"irradiance_paths": 0})):
-        report = lumitree.evaluate("lamp.lumitree", target, "sheet.png", **views, **options)
-        assert report.irradiance is report.irradiance_sheet is report.irradiance_png is None
-        assert not any(name.startswith("irradiance") for name in report.metrics)
-        assert report.to_json()["irradiance"] is None
-        assert not (tmp_path / "sheet-irradiance.png").exists()
-        print_metrics(report.to_json())
-        assert "irradiance: not compared" in capsys.readouterr().out
-    with pytest.raises(lumitree.LumitreeError, match="irradiance_paths is -1"):
-        lumitree.evaluate("lamp.lumitree", "lamp.xml", irradiance_paths=-1)
-
-
-@pytest.mark.slow
 def test_network_bake_evaluate(mi, tiny_network, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "lamp.xml").write_text(LAMP)
@@ -116,47 +92,6 @@ def test_network_bake_evaluate(mi, tiny_network, tmp_path, monkeypatch):
     assert metrics["psnr_linear"] > metrics["psnr_linear_black"] + 6
 
 
-@pytest.mark.slow
-def test_a_network_bakes_the_parts_that_are_chosen(mi, tiny_network, tmp_path, monkeypatch, capsys):
-    """In one command and in steps; all random numbers but those of views depend on the seed."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "lamp.xml").write_text(LAMP)
-    preset = NETWORK_BAKES["preview"]
-    short = dataclasses.replace(preset.train, num_steps=20)
-    monkeypatch.setitem(PRESETS, "preview", short)
-    monkeypatch.setitem(NETWORK_BAKES, "preview", dataclasses.replace(preset, train=short))
-    whole = ["bake", "lamp.xml", "-o", "whole.lumitree", "--method", "network", "--seed", "3"]
-    (tmp_path / "bake.toml").write_text('work = "state"')
-    assert main([*whole, "--config", "bake.toml"]) == 0
-    assert "irradiance, ratio" in capsys.readouterr().out
-    both = lumitree.load("whole.lumitree")
-    assert both.light_field.traced.seeds == (3,)
-    # The finished views and the finished training of the same folder.
-    config = dataclasses.replace(
-        NetworkConfig.preview(), parts=("field",), seed=3, irradiance_paths=0
-    )
-    field = lumitree.bake_network("lamp.xml", "field.lumitree", config, work="state")
-    assert field.asset.light_field is field.irradiance is None
-    for name in ("children", "density", "coefficients"):
-        assert np.array_equal(getattr(both, name), getattr(field.asset, name))
-    # A run lacks the luminaire.
-    line = ["extract", "state/run", "-o", "again.lumitree", "--tree-depth", "3"]
-    assert main(line) == 0
-    assert "irradiance" not in capsys.readouterr().out
-    assert lumitree.load("again.lumitree").light_field is None
-    assert main([*line, "--luminaire", "lamp.xml", "--seed", "3"]) == 0
-    assert "irradiance, ratio" in capsys.readouterr().out
-    again = lumitree.load("again.lumitree")
-    assert_equal_fields(again.light_field, both.light_field)
-    assert again.num_leaves > 0
-    with pytest.raises(lumitree.LumitreeError, match="other settings"):
-        lumitree.train("state/dataset", "state/run", seed=4, resume=True)
-    (tmp_path / "other.xml").write_text(LAMP.replace('x="1"', 'x="2"'))
-    assert main(["extract", "state/run", "-o", "no.lumitree", "--luminaire", "other.xml"]) == 2
-    assert "give the luminaire that was captured" in capsys.readouterr().err
-    assert not (tmp_path / "no.lumitree").exists()
-
-
 def test_a_network_needs_the_part_field(mi, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for parts, message in (
@@ -169,35 +104,6 @@ def test_a_network_needs_the_part_field(mi, tmp_path, monkeypatch):
     with pytest.raises(lumitree.LumitreeError, match="seed is -1"):
         NetworkConfig(seed=-1)
     assert os.listdir() == []
-
-
-@pytest.mark.slow
-def test_an_interrupted_bake_keeps_its_best_and_continues(mi, tiny, tmp_path, monkeypatch):
-    from lumitree.asset.file import load
-    from lumitree.fit.octree.refine import Refiner
-
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "lamp.xml").write_text(LAMP)
-    advance, steps = Refiner.advance, []
-
-    def interrupt(self, progress):
-        steps.append(self.step + 1)
-        if len(steps) == 3:
-            signal.raise_signal(signal.SIGINT)
-        return advance(self, progress)
-
-    monkeypatch.setattr(Refiner, "advance", interrupt)
-    stopped = lumitree.bake("lamp.xml", "lamp.lumitree")
-    assert stopped.stopped_by == signal.SIGINT
-    assert stopped.irradiance is None
-    assert steps == [1, 2, 3]
-    assert load("lamp.lumitree").num_leaves > 50
-    assert (tmp_path / "lamp.work").exists()
-    report = lumitree.bake("lamp.xml", "lamp.lumitree")
-    assert steps == list(range(1, len(steps) + 1))
-    assert report.rays >= tiny_bakes.RAYS
-    assert report.irradiance is not None
-    assert not (tmp_path / "lamp.work").exists()
 
 
 @pytest.mark.slow
@@ -242,56 +148,6 @@ def test_demo(tiny_demo, tmp_path):
     assert "evaluate" not in quick
     assert quick["room"]["baked"]["samples_per_pixel"] >= 16
     assert (tmp_path / "quick" / "comparison.png").stat().st_size > 10_000
-
-
-@pytest.mark.slow
-def test_full_demo(tiny_demo, tmp_path, monkeypatch):
-    budgets = []
-
-    def bake(luminaire, output, config, **options):
-        budgets.append(config.time)
-        return lumitree.bake(luminaire, output, config, **options)
-
-    monkeypatch.setattr(demo, "bake", bake)
-    demo.run("out", full=True)
-    assert budgets == [2]
-    report = json.loads((tmp_path / "out" / "report.json").read_text())
-    assert set(report["evaluate"]) >= {"metrics", "views", "seconds", "asset"}
-    seconds = report["seconds"]
-    total = seconds.pop("total")
-    assert set(seconds) >= {"light", "bake", "evaluate", "room baked, render"}
-    assert total == pytest.approx(sum(seconds.values()), abs=1e-2)
-    assert set(report["room"]) == {"baked", "explicit"}
-    assert report["room"]["baked"]["mean_radiance"] > 0.01
-    assert report["peak_memory_bytes"] > 1e8
-    assert (tmp_path / "out" / "lamp.lumitree").exists()
-    for name in ("evaluation", "evaluation-irradiance", "comparison"):
-        assert (tmp_path / "out" / f"{name}.png").stat().st_size > 10_000
-    for name in ("baked", "explicit"):
-        image = read_exr(tmp_path / "out" / f"room-{name}.exr")["RGB"]
-        assert image.shape == (30, 40, 3)
-        assert image.max() > 0.4
-
-
-@pytest.mark.slow
-def test_results_are_readable_and_fit_json(mi, tiny, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "lamp.xml").write_text(LAMP)
-    seen = []
-    result = lumitree.bake("lamp.xml", progress=seen.append)
-    assert isinstance(result, lumitree.BakeResult)
-    assert result.path is None
-    assert os.listdir() == ["lamp.xml"]
-    report = json.loads(json.dumps(result.to_json(), allow_nan=False))
-    assert report["asset"]["leaves"] == result.asset.info.leaves
-    assert "file" not in report["asset"]
-    assert "held_out_psnr: " in repr(result)
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        result.rays = 0
-    tasks = {each.task.partition(" ")[0] for each in seen}
-    assert tasks == {"light", "bake", "calibrate", "irradiance"}
-    assert all(0 <= each.done <= each.total * (1 + 1e-9) for each in seen)
-    assert seen[-1].finished
 
 
 DICTIONARY = {
@@ -351,23 +207,6 @@ def test_scenes_that_are_no_luminaires_are_refused(mi):
     ):
         with pytest.raises(lumitree.LumitreeError, match=message):
             lumitree.load_luminaire(mi.load_dict(scene))
-
-
-@pytest.mark.slow
-def test_an_asset_in_memory_is_placed_and_evaluated(mi, tmp_path):
-    asset = random_asset(4, half_extents=np.array([1.0, 0.5, 0.75]))
-    lumitree.save(asset, tmp_path / "lamp.lumitree")
-    film = {"type": "hdrfilm", "width": 16, "height": 16, "rfilter": {"type": "box"}}
-    look = mi.ScalarTransform4f().look_at([2, 3, 9], [0, 0, 0], [0, 1, 0])
-    sensor = {"type": "perspective", "fov": 20, "to_world": look, "film": film}
-    images = []
-    for lamp in (asset, tmp_path / "lamp.lumitree"):
-        shape = lumitree.shape(lamp)
-        scene = mi.load_dict({"type": "scene", "sensor": sensor, "lamp": shape})
-        integrator = mi.load_dict({"type": "lumitree_path", "max_depth": 2})
-        images.append(np.array(mi.render(scene, integrator=integrator, spp=4)))
-    assert images[0].max() > 0
-    np.testing.assert_array_equal(images[0], images[1])
 
 
 def test_lines_of_an_asset_are_those_of_the_reference(mi):

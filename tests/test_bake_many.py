@@ -1,6 +1,5 @@
 """Many lamps in one folder: what is baked, kept and continued, and the index page."""
 
-import contextlib
 import html
 import json
 import os
@@ -8,7 +7,6 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -17,12 +15,9 @@ import pytest
 import lumitree
 from lumitree.cli import main
 from lumitree.core.process_pool import process_pool
-from lumitree.core.work_folder import WorkFolder
 from lumitree.fit.catalogue import lamp_job
 from lumitree.fit.catalogue.claim import claimed
-from lumitree.fit.catalogue.index import FolderIndex
-from lumitree.fit.catalogue.record import BakedLamp, LampFiles
-from support import tiny_bakes
+from lumitree.fit.catalogue.record import LampFiles
 from support.lamps import AREA, scene, sphere
 from support.tiny_bakes import set_qualities, standard
 
@@ -121,25 +116,6 @@ def test_an_unexpected_error_is_a_failure_too(monkeypatch):
     assert result.failed[0].error == "unexpected ZeroDivisionError: division by zero"
 
 
-OTHER = """
-import sys
-import time
-import lumitree
-from support.tiny_bakes import set_qualities, standard
-
-def wait(report):
-    if report.task.startswith("light of") and report.within.done == 0:
-        print("working", flush=True)
-        sys.stdin.readline()
-
-set_qualities(dict.__setitem__)
-result = lumitree.bake_many(
-    ["a.xml", "b.xml"], "out", standard(parts=("light",)), progress=wait
-)
-print([(lamp.name, lamp.state) for lamp in result.lamps])
-"""
-
-
 @pytest.mark.slow
 def test_processes_give_the_same_bytes(folder):
     names = ["a.xml", "b.xml"]
@@ -183,60 +159,6 @@ def test_a_killed_process_leaves_a_folder_that_continues(folder):
     assert files_of_lamps(folder / "out") == files_of_lamps(folder / "one")
 
 
-def test_two_processes_share_a_folder(folder, baked, monkeypatch):
-    """The other one is halfway through the first lamp until this one has nothing else to do."""
-    other = subprocess.Popen(
-        [sys.executable, "-c", OTHER], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-        cwd=folder, env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
-    )  # fmt: skip
-    pages, outputs = [], []
-
-    def finish_other(_):
-        pages.append((folder / "out/index.html").read_text())
-        outputs.append(other.communicate("go\n" * 1000)[0])
-
-    monkeypatch.setattr("lumitree.fit.catalogue.bake_many.time.sleep", finish_other)
-    try:
-        assert other.stdout.readline() == "working\n"
-        with pytest.warns(
-            lumitree.LumitreeWarning, match=r"^process \d+ on .* \(since .*\) works on a; the"
-        ):
-            result = lumitree.bake_many(["a.xml", "b.xml"], "out", standard(**SETTINGS))
-    finally:
-        other.kill()
-        other.wait()
-    assert states(result) == [("a", "kept"), ("b", "baked")]
-    assert baked == ["b"]
-    assert outputs[0].splitlines()[-1] == "[('a', 'baked'), ('b', 'kept')]"
-    (during,) = pages
-    assert "failed:" not in during
-    assert during.count("<div>not baked yet</div>") == 1
-    after = result.index.read_text()
-    assert after.count("<dt>flux</dt>") == 2
-    assert "not baked yet" not in after
-    assert files_of_lamps(folder / "out") == ["a.json", "a.webp", "b.json", "b.webp"]
-
-
-def test_a_page_has_what_other_processes_have_baked_meanwhile(folder):
-    """Also lamps that are still to come in the list of the process that writes it."""
-    lumitree.bake_many(["a.xml"], "out", standard(**SETTINGS))
-    lamps = [BakedLamp("a", "a.xml", "waiting"), BakedLamp("c", "c.xml", "waiting")]
-    FolderIndex(Path("out")).write(lamps)
-    page = (folder / "out/index.html").read_text()
-    assert page.count("<dt>flux</dt>") == 1
-    assert page.count("<div>not baked yet</div>") == 1
-
-
-def test_a_lamp_that_is_baked_alone_is_left_until_then(folder, monkeypatch):
-    (folder / "out").mkdir()
-    with contextlib.ExitStack() as stack:
-        stack.enter_context(WorkFolder("out/a.work"))
-        monkeypatch.setattr("lumitree.fit.catalogue.bake_many.time.sleep", lambda _: stack.close())
-        with pytest.warns(lumitree.LumitreeWarning, match="another process works on a"):
-            result = lumitree.bake_many(["a.xml"], "out", standard(**SETTINGS))
-    assert states(result) == [("a", "baked")]
-
-
 def test_a_signal_while_a_list_waits_is_heeded(folder, monkeypatch):
     monkeypatch.setattr(
         "lumitree.fit.catalogue.bake_many.time.sleep", lambda _: signal.raise_signal(signal.SIGTERM)
@@ -251,12 +173,8 @@ def test_a_signal_while_a_list_waits_is_heeded(folder, monkeypatch):
     assert not result.finished
 
 
-@pytest.mark.parametrize(
-    "target",
-    [(LampFiles, "write"), (FolderIndex, "update"), (FolderIndex, "write")],
-    ids=("record", "update", "page"),
-)
-def test_a_signal_after_the_last_lamp_changes_nothing(monkeypatch, capfd, target):
+def test_a_signal_after_the_last_lamp_changes_nothing(monkeypatch, capfd):
+    target = LampFiles, "write"
     original = getattr(*target)
 
     def write(*args, **options):
@@ -266,37 +184,6 @@ def test_a_signal_after_the_last_lamp_changes_nothing(monkeypatch, capfd, target
     monkeypatch.setattr(*target, write)
     assert main(["bake", "a.xml", "-o", "out/", *ARGUMENTS]) == 0
     assert " a  baked" in capfd.readouterr().out
-
-
-def test_a_signal_before_the_last_lamp_leaves_the_others(monkeypatch, capfd):
-    update = FolderIndex.update
-
-    def signalled(*args):
-        signal.raise_signal(signal.SIGINT)
-        update(*args)
-
-    monkeypatch.setattr(FolderIndex, "update", signalled)
-    assert main(["bake", "a.xml", "b.xml", "-o", "out/", *ARGUMENTS]) == 130
-    captured = capfd.readouterr()
-    assert " b  waiting" in captured.out
-    assert "error: interrupted; the same command continues" in captured.err
-
-
-@pytest.mark.slow
-def test_an_interrupted_list_continues(folder, baked, capsys):
-    def stop(report):
-        if report.task == "light of " + folder.name + "/b" and report.within.done == 1:
-            raise lumitree.Interrupted(number=signal.SIGTERM)
-
-    names = ["a.xml", "b.xml", "dark.xml"]
-    first = lumitree.bake_many(names, "out", standard(**SETTINGS), progress=stop)
-    assert states(first) == [("a", "baked"), ("b", "interrupted"), ("dark", "waiting")]
-    assert first.stopped_by == signal.SIGTERM
-    page = (folder / "out/index.html").read_text()
-    assert "not baked yet" in page
-    second = lumitree.bake_many(names[:2], "out", standard(**SETTINGS))
-    assert states(second) == [("a", "kept"), ("b", "baked")]
-    assert baked == ["a", "b", "b"]
 
 
 @pytest.mark.slow
@@ -318,20 +205,6 @@ def test_the_best_field_so_far_is_written_and_continued(folder, monkeypatch, bak
     assert states(second) == [("a", "baked")]
     assert not (folder / "out/a.work").exists()
     assert second.lamps[0].seconds > first.lamps[0].seconds
-
-
-@pytest.mark.slow
-def test_a_lamp_that_changed_since_it_was_interrupted_starts_again(folder, baked):
-    def stop(report):
-        if report.task.startswith("bake ") and report.within and report.done > 0.3:
-            signal.raise_signal(signal.SIGINT)
-
-    settings = {"parts": ("field",), "irradiance_paths": 0, "rays": 1 << 19}
-    first = lumitree.bake_many(["a.xml"], "out", standard(**settings), progress=stop)
-    assert states(first) == [("a", "interrupted")]
-    second = lumitree.bake_many(["a.xml"], "out", standard(**settings, l_max=0))
-    assert states(second) == [("a", "baked")]
-    assert not (folder / "out/a.work").exists()
 
 
 def test_names_and_arguments_are_checked_first(folder):
@@ -383,36 +256,3 @@ def test_the_page_loads_files_beside_it_and_escapes_names(folder):
     assert record["figures"]["size"] == [2, 2, 2]
     assert record["figures"]["irradiance_rms"] > 0
     assert LampFiles(folder / "out", name).read().finished
-
-
-@pytest.mark.slow
-def test_a_killed_worker_ends_a_command_that_continues(folder):
-    names = ["a.xml", "b.xml", "c.xml"]
-    (folder / "c.xml").write_text(scene(sphere("ball", 0.25, inside=AREA)))
-    lumitree.bake_many(names, "one", standard(**SETTINGS))
-    command = [sys.executable, tiny_bakes.__file__, "bake", *names, "-o", "out/", *ARGUMENTS]
-    command += ["--workers", "1"]
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-    process = subprocess.Popen(
-        command, cwd=folder, env=environment, stderr=subprocess.PIPE, text=True
-    )
-    deadline = time.monotonic() + 300
-    while not (content := read_claim(folder / "out/index-files/b.claim")):
-        assert process.poll() is None, process.stderr.read()
-        assert time.monotonic() < deadline
-    os.kill(json.loads(content)["process"], signal.SIGKILL)
-    error = process.communicate(timeout=300)[1]
-    assert process.returncode == 2
-    assert "a worker ended unexpectedly" in error
-    assert "the same command continues" in error
-    assert sorted(contents("out")) == ["a.lumitree"]
-    subprocess.run(command, cwd=folder, env=environment, check=True, timeout=600)
-    assert contents("out") == contents("one")
-
-
-def read_claim(path):
-    """Text of a claim; empty if it is not there."""
-    time.sleep(0.01)
-    with contextlib.suppress(FileNotFoundError):
-        return path.read_text()
-    return ""

@@ -21,24 +21,16 @@ pytestmark = pytest.mark.skipif(not CASES.is_dir(), reason=f"no cases at {CASES}
 LUMENS = {
     "02-emissive-uv-transform/01-tex.gltf": 31.416,
     "02-emissive-uv-transform/02-scalehalf.gltf": 125.664,
-    "02-emissive-uv-transform/04-scale2.gltf": 31.416,
-    "02-emissive-uv-transform/05-rot90.gltf": 31.416,
     "02-emissive-uv-transform/08-mirror-scale2.gltf": 31.416,
     "02-emissive-uv-transform/41-s2.obj": 21.457,
-    "02-emissive-uv-transform/43-off.obj": 65.8,
     "02-emissive-uv-transform/44-tile.obj": 21.457,
     "03-emissive-uv-palette/34-uv-negative.gltf": 31.416,
-    "03-emissive-uv-palette/36-uv-degenerate.gltf": 125.664,
     "03-emissive-uv-palette/37-uv-line.gltf": 62.832,
     "03-emissive-uv-palette/38-palette-mixed.gltf": 125.664,
-    "04-xml-touv-emission/h-touv-none-nearest.xml": 21.457,
     "04-xml-touv-emission/h-touv-half-nearest.xml": 85.83,
-    "04-xml-touv-emission/h-touv-half-bilinear.xml": 65.8,
     "04-xml-touv-emission/h-touv-scale-nearest.xml": 21.457,
-    "12-doubled/one_sphere.glb": 98.29,
     "12-doubled/dup_sphere.glb": 98.29,
 }
-CUPS = {"cup_blender_default.glb": 5.6, "cup_metal_rough05.glb": 14.0, "cup_metal_rough1.glb": 13.0}
 
 
 @pytest.mark.parametrize("name", LUMENS)
@@ -52,16 +44,6 @@ def test_flux_of_bare_emitters(mi, name):
     flux = LampRays(lamp).bare_flux(1 << 17, 1) * lamp.frame.scale**2
     # An eighth of the surface at least is bright: ± 0.7 % at one standard error.
     assert float(luminance(flux)) == pytest.approx(LUMENS[name], rel=0.025)
-
-
-@pytest.mark.parametrize("name", CUPS)
-def test_cups_lose_and_create_no_light(mi, name):
-    from lumitree.lamp.loading import load_luminaire
-    from lumitree.trace.flux import estimate_flux
-
-    found = estimate_flux(load_luminaire(CASES / "11-materials" / name), 1)
-    assert found.lumens < 15.73
-    assert found.lumens == pytest.approx(CUPS[name], rel=0.05)
 
 
 @pytest.mark.slow

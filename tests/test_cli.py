@@ -1,8 +1,5 @@
 """Every command's errors, in one line with status 2, and what they print."""
 
-import builtins
-import errno
-import io
 import json
 import os
 import signal
@@ -10,42 +7,29 @@ import subprocess
 import sys
 import tempfile
 import time
-import warnings
 
 import numpy as np
 import pytest
-from PIL import Image
 
 import lumitree
 from lumitree.cli import main
 from lumitree.core.work_folder import MARKER
 from lumitree.trace.flux_figures import flux_text
 from support.fields import make_asset, random_asset
+from support.lamps import AREA, BALL, room, sphere
 
-LAMP = (
-    '<scene version="3.0.0"><shape type="sphere"><emitter type="area">'
-    '<rgb name="radiance" value="3,2,1"/></emitter></shape></scene>'
-)
 MODEL = "mtllib model.mtl\nusemtl glow\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
 MODEL += "f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
-ROOM = (
-    '<scene version="3.0.0"><integrator type="path"><integer name="max_depth" value="4"/>'
-    '</integrator><sensor type="perspective"><transform name="to_world">'
-    '<lookat origin="0,1,6" target="0,0.5,0" up="0,1,0"/></transform>'
-    '<film type="hdrfilm"><integer name="width" value="30"/><integer name="height" value="20"/>'
-    '</film></sensor><shape type="rectangle"><transform name="to_world">'
-    '<rotate x="1" angle="-90"/><scale value="4"/></transform></shape>{}</scene>'
-)
 
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path, monkeypatch, mi):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "lamp.xml").write_text(LAMP)
+    (tmp_path / "lamp.xml").write_text(BALL)
     (tmp_path / "dark.xml").write_text('<scene version="3.0.0"><shape type="sphere"/></scene>')
     (tmp_path / "empty.xml").write_text('<scene version="3.0.0"/>')
-    (tmp_path / "half.xml").write_text(LAMP[: len(LAMP) // 2])
-    (tmp_path / "room.xml").write_text(ROOM.format(""))
+    (tmp_path / "half.xml").write_text(BALL[: len(BALL) // 2])
+    (tmp_path / "room.xml").write_text(room(30, 20))
     (tmp_path / "model.obj").write_text(MODEL)
     (tmp_path / "model.mtl").write_text("newmtl glow\nKd 0.5 0.5 0.5\n")
     (tmp_path / "bright.toml").write_text("[material.glow]\nemitter = { lumens = 800 }\n")
@@ -77,127 +61,63 @@ def fails(capsys, *arguments):
         (["preview", "dark.xml", "-o", "s.png"], "holds no emitter"),
         (["preview", "empty.xml", "-o", "s.png"], "holds no shapes"),
         (["preview", "half.xml", "-o", "s.png"], "half.xml cannot be loaded"),
-        (["preview", "lamp.xml", "-o", "s.jpg"], "does not end in .png"),
-        (["preview", "lamp.xml", "-o", "lamp.xml/s.png", "--resolution", "8", "--spp", "1"],
-         "cannot write lamp.xml/s.png"),
         (["preview", "lamp.xml", "-o", "s.png", "--resolution", "0"], "resolution is 0"),
-        (["preview", "lamp.xml", "-o", "s.png", "--spp", "-3"], "spp is -3"),
-        (["preview", "lamp.xml", "-o", "s.png", "--spp", "few"], "invalid int value: 'few'"),
-        (["capture", "lamp.xml"], "required: -o"),
-        (["capture", "no.xml", "-o", "d"], "neither a file nor built in"),
         (["capture", "lamp.xml", "-o", "d", "--views", "many"], "invalid int value: 'many'"),
-        (["capture", "lamp.xml", "-o", "d", "--views", "0"], "views is 0"),
-        (["capture", "lamp.xml", "-o", "d", "--split", "both"], "invalid choice: 'both'"),
         (["capture", "lamp.xml", "-o", "d", "--variant", "scalar_rgb"], "choose llvm_ad_rgb"),
-        (["train", "no", "-o", "run", "--preset", "best"], "invalid choice: 'best'"),
-        (["extract", "no", "-o", "a.bin"], "does not end in .lumitree"),
-        (["bake", "no.xml", "-o", "a.lumitree"], "neither a file nor built in"),
-        (["bake", "lamp.xml", "-o", "a"], "does not end in .lumitree"),
-        (["bake", "lamp.xml", "-o", "a.lumitree", "--method", "magic"], "invalid choice: 'magic'"),
         (["bake", "lamp.xml", "-o", "a.lumitree", "--method", "network", "--time", "9",
           "--lumens", "1"], "--time, --lumens: not for --method network"),
         (["bake", "lamp.xml", "-o", "a.lumitree", "--quality", "paper"],
          "--quality paper: not for --method octree; expected preview, standard, high"),
         (["bake", "-o", "a.lumitree"], "required: LUMINAIRE"),
-        (["bake", "lamp.xml"], "required: -o"),
-        (["bake", "lamp.xml", "-o", "a.lumitree", "--config", "no.toml"], "no.toml does not exist"),
         (["info", "no.lumitree"], "no.lumitree does not exist"),
-        (["info", "lamp.xml"], "lamp.xml is a Mitsuba scene, not a .lumitree asset"),
-        (["evaluate", "no.lumitree", "lamp.xml"], "no.lumitree does not exist"),
-        (["evaluate", "lamp.lumitree", "no.xml"], "neither a file nor built in"),
         (["render", "no.xml", "-o", "a.png"], "no.xml does not exist"),
         (["render", "room.xml", "-o", "a.gif"], "neither .exr"),
-        (["render", "room.xml", "-o", "a.png", "--spp", "0"], "spp is 0"),
-        (["render", "room.xml", "-o", "a.png", "--width", "0"], "width is 0"),
         (["render", "lamp.xml", "-o", "a.png"], "no sensor"),
         (["render", "room.xml", "-o", "a.png", "--at", "1,2,3"], "comes before any --place"),
         (["render", "room.xml", "-o", "a.png", "--place", "lamp.lumitree", "--at", "1,2"],
          "not 3 numbers"),
-        (["render", "room.xml", "-o", "a.png", "--place", "lamp.lumitree", "--at", "1,2,inf"],
-         "not 3 numbers"),
         (["render", "room.xml", "-o", "a.png", "--place", "lamp.lumitree", "--size", "1",
           "--size", "2"], "given twice"),
-        (["render", "room.xml", "-o", "a.png", "--place", "lamp.lumitree", "--size", "-1"],
-         "size -1.0 is not a length"),
         (["render", "room.xml", "-o", "a.png", "--place", "lamp.lumitree", "--size", "1e300"],
          "size 1e+300 is not a length of 1e-12 to 1e+12 scene units"),
-        (["render", "room.xml", "-o", "a.png", "--place", "lamp.lumitree", "--at", "1e300,0,0"],
-         "not 3 numbers of up to 1e+12"),
         (["render", "room.xml", "-o", "a.png", "--place", "lamp.lumitree", "--at", "0,2,0",
           "--place", "lamp.lumitree", "--at", "0,2,0"],
          "lamp.lumitree is placed twice in the same place"),
-        (["render", "room.xml", "-o", "a.png", "--place", "lamp.xml", "--place", "lamp.xml"],
-         "lamp.xml is placed twice in the same place"),
         (["render", "room.xml", "-o", "a.exr", "--layers", "./a.exr"],
          "./a.exr is given for two outputs"),
-        (["photometry", "lamp.xml", "-o", "a.ies", "-o", "b.ldt", "--json", "a.ies"],
-         "a.ies is given for two outputs"),
         (["refine", "lamp.lumitree", "lamp.xml", "-o", "lamp.lumitree"],
          "lamp.lumitree is read, and would be written over; choose another output"),
-        (["bake", "lamp.xml", "-o", "a.lumitree", "--json", "lamp.xml"],
-         "lamp.xml is read, and would be written over"),
         (["view", "lamp.lumitree", "-o", "v.png"], "page name 'v.png' does not end in .html"),
-        (["render", "room.xml", "-o", "a.png", "--width", "100000000"],
-         "width is 100000000; expected 1 to 16,384"),
         (["render", "room.xml", "-o", "a.png", "--spp", "1" + 20 * "0"],
          "expected 1 to 1,048,576"),
-        (["render", "room.xml", "-o", "a.png", "--spp", 5000 * "9"], "invalid int value"),
         (["render", "x" * 300 + ".xml", "-o", "a.png"], "File name too long"),
         (["render", "room.xml", "-o", "x" * 300 + ".png"], "File name too long"),
-        (["render", "room.xml", "-o", "room.xml/a.png"], "cannot write room.xml/a.png"),
         (["render", "room.xml", "-o", "a.png", "--json", "no/such/x.json"], "no folder no/such"),
-        (["info", "lamp.lumitree", "--json", "room.xml/x.json"], "no folder room.xml"),
-        (["info", "lamp.lumitree", "--json", "."], "it is a folder"),
-        (["info", "."], "is a folder"),
         (["info", "a\nb"], "a?b does not exist"),
         (["info", "\x1b[31m.lumitree"], "?[31m.lumitree does not exist"),
-        (["capture", "lamp.xml", "-o", "d", "--resolution", "10000000"],
-         "resolution is 10000000; expected 1 to 16,384"),
-        (["capture", "lamp.xml", "-o", "room.xml"], "cannot write room.xml"),
         (["bake", "lamp.xml", "-o", "a.lumitree", "--seed", "-1"],
          "seed is -1; expected a whole number from 0 to 2147483647"),
         (["bake", "lamp.xml", "-o", "a.lumitree", "--time", "9"],
          "--time: for the radiance field, which is not made; add --parts all, or leave it out"),
-        (["bake", "lamp.xml", "lamp.xml", "-o", "a", "--parts", "light", "--time", "9"],
-         "--time: for the radiance field"),
         (["bake", "lamp.xml", "-o", "a.lumitree", "--parts", "geometry"],
          "parts are geometry; expected"),
-        (["refine", "lamp.lumitree", "lamp.xml", "-o", "a.lumitree", "--seed", "-1"],
-         "seed is -1"),
-        (["refine", "no.lumitree", "lamp.xml", "-o", "a.lumitree"], "no.lumitree does not exist"),
-        (["refine", "lamp.lumitree", "lamp.xml", "-o", "a.bin"], "does not end in .lumitree"),
-        (["extract", "no", "-o", "a.lumitree", "--tree-depth", "0"], "tree depth is 0"),
-        (["evaluate", "lamp.lumitree", "lamp.xml", "-o", "x.jpg"], "does not end in .png"),
-        (["evaluate", "lamp.lumitree", "lamp.xml", "--views", "0"], "views is 0"),
         (["render", "room.xml", "-o", "a.png", "--place", "lamp.lumitree", "--rotate", "0,0,0,9"],
          "no direction"),
         (["render", "room.xml", "-o", "a.png", "--place", "lamp.lumitree", "--gain", "-1,1,1"],
          "gain is [-1.0, 1.0, 1.0]; expected one number or three (R, G, B) from 0 to 1,000,000"),
-        (["render", "room.xml", "-o", "a.png", "--place", "lamp.lumitree", "--gain", "1,2"],
-         "argument --gain: '1,2' is not 1 or 3 numbers separated by commas"),
         (["render", "room.xml", "-o", "a.png", "--place", "lamp.xml", "--gain", "2"],
          "is placed as explicit geometry"),
         (["render", "room.xml", "-o", "a.png", "--gain", "2"], "--gain comes before any --place"),
-        (["render", "room.xml", "-o", "a.png", "--place", "no.lumitree"], "does not exist"),
-        (["render", "room.xml", "-o", "a.png", "--place", "no_lamp"], "neither a file nor"),
         (["demo", "--variant", "cuda_ad_spectral"], "choose llvm_ad_rgb"),
         (["capture", "lamp.fbx", "-o", "d"], "(a Mitsuba 3 scene), .obj, .gltf, .glb"),
         (["bake", "lamp.lumitree", "-o", "a.lumitree"], "is an asset, which is baked already"),
         (["capture", "model.obj", "-o", "d"], "has no emitter (materials: glow); name one in"),
         (["capture", "model.obj", "-o", "d", "--materials", "wrong.toml"],
          "wrong.toml: unknown key 'material.glow.emiter'"),
-        (["bake", "model.obj", "-o", "a.lumitree", "--materials", "no.toml"],
-         "no.toml does not exist"),
-        (["evaluate", "lamp.lumitree", "model.obj", "--materials", "wrong.toml"], "wrong.toml"),
         (["capture", "lamp.xml", "-o", "d", "--materials", "bright.toml"],
          "--materials does not apply"),
         (["capture", "bulbs", "-o", "d", "--materials", "bright.toml"], "takes no --materials"),
-        (["capture", "model.obj", "-o", "d", "--keep", "x*"], "--keep 'x*' matches no part"),
         (["bake", "lamp.xml", "-o", "a.lumitree", "--keep", "bulb"], "matches no shape's id"),
-        (["evaluate", "lamp.lumitree", "lamp.xml", "--drop", "bulb"], "matches no shape's id"),
-        (["capture", "model.obj", "-o", "d", "--drop", "glow"], "leave nothing"),
-        (["capture", "model.obj", "-o", "d", "--keep"], "expected one argument"),
-        (["render", "room.xml", "-o", "a.png", "--place", "model.obj"], "has no emitter"),
     ],
 )  # fmt: skip
 def test_bad_input(capsys, arguments, message):
@@ -263,36 +183,6 @@ def test_bare_command_shows_its_help(capsys):
     assert "usage: lumitree" in capsys.readouterr().out
 
 
-def test_warning_filters_of_the_process_stay(capsys):
-    before, show = list(warnings.filters), warnings.showwarning
-    assert main(["info", "lamp.lumitree"]) == 0
-    assert warnings.filters == before
-    assert warnings.showwarning is show
-
-
-@pytest.mark.parametrize("name", ["lamp.lumitree", "lamp.xml", "room.xml", "model.mtl"])
-def test_unreadable_files(capsys, monkeypatch, name):
-    """As an administrator may read everything, the refusal is the system's, made here."""
-    opened = builtins.open
-
-    def refuse(path, *args, **kwargs):
-        if isinstance(path, str | os.PathLike) and os.path.basename(path) == name:
-            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), os.fspath(path))
-        return opened(path, *args, **kwargs)
-
-    monkeypatch.setattr(builtins, "open", refuse)
-    monkeypatch.setattr(io, "open", refuse)
-    command = {
-        "lamp.lumitree": ["info", "lamp.lumitree"],
-        "lamp.xml": ["bake", "lamp.xml", "-o", "a.lumitree"],
-        "room.xml": ["render", "room.xml", "-o", "a.png"],
-        "model.mtl": ["capture", "model.obj", "-o", "d"],
-    }[name]
-    error, created = fails(capsys, *command)
-    assert "Permission denied" in error
-    assert created == set()
-
-
 def test_damaged_dataset(network_packages, capsys, folder):
     assert main(["capture", "lamp.xml", "-o", "d", "--views", "2", "--resolution", "16",
                  "--spp", "4"]) == 0  # fmt: skip
@@ -338,10 +228,8 @@ def test_model_with_overrides_is_captured_and_placed(capsys, folder):
 
 
 def test_lamp_is_taken_out_of_a_scene(capsys, folder):
-    room = ROOM.format(
-        '<emitter type="constant"/>' + LAMP[23:-8].replace('"sphere"', '"sphere" id="a"')
-    )
-    (folder / "lit.xml").write_text(room)
+    lit = room(30, 20, '<emitter type="constant"/>' + sphere("a", 1, inside=AREA))
+    (folder / "lit.xml").write_text(lit)
     error, _ = fails(capsys, "capture", "lit.xml", "-o", "d", "--views", "1")
     assert "environment light (constant)" in error
     assert "--keep" in error
@@ -367,18 +255,6 @@ def test_list_info_and_json(capsys):
     assert "tree_depth  4" in out
     with open("info.json") as file:
         assert json.load(file)["asset"]["law"] == "linear"
-
-
-def test_list_tells_the_figures_of_every_lamp(capsys):
-    assert main(["list", "--json", "list.json"]) == 0
-    out = capsys.readouterr().out
-    with open("list.json") as file:
-        bulbs = json.load(file)["luminaires"]["bulbs"]
-    assert bulbs["emitters"] == 5
-    assert bulbs["emitted_radiance"] == 30
-    assert bulbs["size"][1] == pytest.approx(0.327, abs=1e-3)
-    assert bulbs["has_media"] is False
-    assert f"{bulbs['triangles']:,} triangles, emitters: 5, of up to 30 W/(m² sr)" in out
 
 
 @pytest.mark.slow
@@ -416,28 +292,6 @@ def test_flux_is_told_to_the_second_digit_of_its_error(lumens, error, text):
 
 
 @pytest.mark.slow
-def test_faults_of_glass_are_warned_of(capsys, folder, monkeypatch):
-    monkeypatch.setattr("lumitree.output.preview.FLUX_PATHS", 1)
-    sheets = "".join(
-        f'<shape type="rectangle" id="pane{i}"><transform name="to_world">'
-        f'<translate z="{i + 2}"/></transform><bsdf type="dielectric"/></shape>'
-        for i in range(7)
-    )
-    (folder / "panes.xml").write_text(LAMP.replace("</scene>", f"{sheets}</scene>"))
-    tiny = ["--resolution", "8", "--spp", "1"]
-    assert main(["preview", "panes.xml", "-o", "s.png", "--json", "r.json", *tiny]) == 0
-    lines = capsys.readouterr().err.splitlines()
-    assert len(lines) == 6
-    assert all(line.startswith("lumitree: warning: ") for line in lines)
-    assert sum("but not closed" in line for line in lines) == 5
-    assert "2 more faults" in lines[-1]
-    with open("r.json") as file:
-        assert len(json.load(file)["faults"]) == 7
-    assert main(["capture", "panes.xml", "-o", "d", "--views", "1", *tiny]) == 0
-    assert len(capsys.readouterr().err.splitlines()) == 6
-
-
-@pytest.mark.slow
 def test_render_places_several(capsys, folder):
     """Negative coordinates, an asset twice and an explicit luminaire, in one command."""
     assert main(["render", "room.xml", "-o", "image.exr", "--spp", "8",
@@ -456,54 +310,12 @@ def test_render_places_several(capsys, folder):
     assert capsys.readouterr().err == ""
 
 
-@pytest.mark.slow
-def test_render_writes_the_image_while_it_is_rendered(capsys, folder, monkeypatch):
-    """A signal that stops the command leaves the image so far."""
-    from lumitree.core.interrupt import Interrupted
-    from lumitree.rendering import render
-
-    save = render.RenderResult.save
-
-    def interrupted(image, path):
-        save(image, path)
-        raise Interrupted
-
-    line = ["render", "room.xml", "-o", "image.png", "--width", "30", "--place", "lamp.lumitree"]
-    with monkeypatch.context() as patch:
-        patch.setattr(render.RenderResult, "save", interrupted)
-        assert main([*line, "--time", "1h", "--progressive"]) == 128 + 2
-    assert json.loads(Image.open("image.png").text["Comment"])["samples_per_pixel"] == 16
-    assert main([*line, "--spp", "3", "--progressive", "--view", "standard"]) == 0
-    assert json.loads(Image.open("image.png").text["Comment"])["samples_per_pixel"] == 3
-
-
-@pytest.mark.slow
-def test_render_with_gains(capsys, folder):
-    """Each --gain is for the placement before it."""
-    from lumitree.core.images import read_exr
-
-    one = ["--place", "lamp.lumitree", "--at", "-1.5,1,0", "--size", "1"]
-    other = ["--place", "lamp.lumitree", "--at", "1.5,1,0", "--size", "1"]
-    images = []
-    for gains in (("0", "0"), ("2,0,0", "0"), ("0", "0,0.5,0")):
-        line = [*one, "--gain", gains[0], *other, "--gain", gains[1]]
-        assert main(["render", "room.xml", "-o", "image.exr", "--spp", "4", "--width", "30",
-                     *line]) == 0  # fmt: skip
-        images.append(read_exr("image.exr")["RGB"])
-    dark, left, right = images
-    assert not dark.any()
-    assert not left[..., 1:].any()
-    assert not right[..., [0, 2]].any()
-    assert left[:, :15, 0].sum() > left[:, 15:, 0].sum() > 0
-    assert right[:, 15:, 1].sum() > right[:, :15, 1].sum() > 0
-
-
 def test_render_warns_of_what_is_inside_a_box_and_not_lit(capsys, folder):
     inside = (
         '<shape type="sphere"><point name="center" x="0" y="1" z="0"/>'
         '<float name="radius" value="0.3"/></shape>'
     )
-    (folder / "inside.xml").write_text(ROOM.format(inside))
+    (folder / "inside.xml").write_text(room(30, 20, inside))
     lumitree.save(
         make_asset(np.zeros((0, 3)), [], [], np.zeros((0, 3, 1))), folder / "empty.lumitree"
     )
@@ -514,35 +326,20 @@ def test_render_warns_of_what_is_inside_a_box_and_not_lit(capsys, folder):
 
 def test_scene_that_names_an_asset_itself(capsys, folder):
     lamp = '<shape type="lumitree_proxy"><string name="filename" value="{}"/></shape>'
-    (folder / "own.xml").write_text(ROOM.format(lamp.format("lamp.lumitree")))
+    (folder / "own.xml").write_text(room(30, 20, lamp.format("lamp.lumitree")))
     assert main(["render", "own.xml", "-o", "a.exr", "--spp", "4"]) == 0
     capsys.readouterr()
-    (folder / "own.xml").write_text(ROOM.format(lamp.format("gone.lumitree")))
+    (folder / "own.xml").write_text(room(30, 20, lamp.format("gone.lumitree")))
     error, _ = fails(capsys, "render", "own.xml", "-o", "b.exr", "--spp", "4")
     assert "gone.lumitree does not exist" in error
     assert "File " not in error
 
 
 def test_render_says_when_it_replaces_the_integrator(capsys, folder):
-    room = (
-        ROOM.format("")
-        .replace('type="path"', 'type="direct"')
-        .replace('<integer name="max_depth" value="4"/>', "")
-    )
-    (folder / "direct.xml").write_text(room)
+    direct = room(30, 20).replace('<integer name="max_depth" value="4"/>', "")
+    (folder / "direct.xml").write_text(direct.replace('type="path"', 'type="direct"'))
     assert main(["render", "direct.xml", "-o", "a.png", "--spp", "1"]) == 0
     assert "integrator 'direct'; using lumitree_path" in capsys.readouterr().err
-
-
-def test_full_disk(capsys, monkeypatch):
-    def full(*_):
-        raise OSError(28, os.strerror(28))
-
-    monkeypatch.setattr(os, "fsync", full)
-    error, created = fails(capsys, "render", "room.xml", "-o", "a.exr", "--spp", "1",
-                         "--place", "lamp.lumitree", "--at", "0,9,0")  # fmt: skip
-    assert "No space left on device" in error
-    assert created == set()
 
 
 @pytest.mark.slow

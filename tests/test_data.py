@@ -13,14 +13,12 @@ import pytest
 import lumitree
 from lumitree.core.dataset import Dataset
 from lumitree.errors import LumitreeWarning
+from support.slow import slow_but
 
 DATA = Path(os.environ.get("LUMITREE_DATA", Path(__file__).parents[1].parent / "shared" / "data"))
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"no development set at {DATA}")
 LUMINAIRES = {
     "scopia_chandelier/luminaire.xml": 130.58,
-    "megeon_chandelier/luminaire.xml": 53.4,
-    "megeon_chandelier/luminaire_bulb.xml": 53.4,
-    "little_lamp/luminaire.xml": 6.74,
     "little_lamp/luminaire_frosted.xml": 6.74,
 }
 
@@ -48,21 +46,6 @@ def test_luminaires_are_captured(mi, tmp_path, name):
         assert view.radiance.max() > 0
         assert 0.02 < view.straight_through.mean() <= view.geometric.mean() + 1e-3
         assert view.geometric.mean() < 0.5
-
-
-def test_explicit_luminaire_looks_the_same_at_every_size(mi, tmp_path):
-    """Placing scales the absorbing medium of the chandelier's drops with it."""
-    from lumitree.rendering.scene import place_shapes
-
-    media = [
-        shape.interior_medium()
-        for shape in place_shapes(
-            DATA / "luminaires" / "scopia_chandelier" / "luminaire.xml", np.diag([0.01] * 3 + [1])
-        ).values()
-        if shape.interior_medium() is not None
-    ]
-    assert len(media) == 1
-    assert mi.traverse(media[0])["scale"] == pytest.approx(100)
 
 
 MODELS = {
@@ -105,6 +88,7 @@ def test_obj_models_are_repaired_as_by_hand(mi, folder):
         assert (len(meshes[name].faces), *count_solids(meshes[name])) == expected, name
 
 
+@pytest.mark.slow
 @REPEATED
 def test_obj_and_hand_made_scene_give_the_same_light(mi, tmp_path):
     from lumitree.lamp.loading import load_luminaire
@@ -142,7 +126,7 @@ FILES = {
 
 
 @pytest.mark.filterwarnings("ignore::lumitree.errors.LumitreeWarning")
-@pytest.mark.parametrize("file", FILES)
+@pytest.mark.parametrize("file", slow_but(["barn_lamp/AnisotropyBarnLamp.gltf"], FILES))
 def test_models_load_with_their_overrides_and_shine(mi, file):
     from lumitree.core.photometry import flux_from_radiance
     from lumitree.lamp.importers.overrides import emitting_area
@@ -182,14 +166,6 @@ def baked(mi, tmp_path_factory):
     asset = str(tmp_path_factory.mktemp("bake") / "lamp.lumitree")
     lumitree.bake(CHANDELIER, asset, lumitree.BakeConfig(parts=("light", "field", "geometry")))
     return asset
-
-
-@pytest.mark.slow
-def test_baked_chandelier_shows_on_held_out_views(baked):
-    views = {"num_views": 4, "resolution": 128, "samples_per_pixel": 256}
-    metrics = lumitree.evaluate(baked, CHANDELIER, **views).metrics
-    assert metrics["psnr_linear"] > metrics["psnr_linear_black"] + 4
-    assert metrics["opacity_rmse"] < 0.2
 
 
 @pytest.mark.slow

@@ -12,16 +12,11 @@ from lumitree.asset.asset import light_field_asset
 from lumitree.cli import main
 from lumitree.core.images import write_exr
 from support.fields import random_asset
-from support.lamps import AREA, scene, sphere
+from support.lamps import AREA, room, scene, sphere
 from support.light_fields import random_light_field
 from support.slow import slow
 from support.tiny_bakes import set_qualities
 
-ROOM = (
-    '<scene version="3.0.0"><integrator type="path"/><sensor type="perspective">'
-    '<film type="hdrfilm"><integer name="width" value="8"/><integer name="height" value="8"/>'
-    "</film></sensor></scene>"
-)
 SMALL = ("--resolution", "16", "--spp", "1")
 LAMP = ("bake", "lamp.xml", "--parts", "light")
 
@@ -31,7 +26,7 @@ def folder(tmp_path, monkeypatch, mi):
     monkeypatch.chdir(tmp_path)
     set_qualities(monkeypatch.setitem)
     (tmp_path / "lamp.xml").write_text(scene(sphere("ball", 1, inside=AREA)))
-    (tmp_path / "room.xml").write_text(ROOM)
+    (tmp_path / "room.xml").write_text(room(8, 8))
     frame = random_asset(0).frame
     lumitree.save(random_asset(0), "field.lumitree")
     write_exr("layers.exr", {"hall": np.ones((2, 3, 3), np.float32)})

@@ -10,14 +10,11 @@ import lumitree
 from lumitree.cli import main
 from support.exported_lamps import lamp
 from support.ies_text import ies_text
+from support.lamps import BALL
 from support.slow import slow
-from support.tiny_bakes import network_config, set_qualities
+from support.tiny_bakes import set_qualities
 
 FOLDER = "Leuchten für Zoë (灯) [1] & 100%"
-LAMP = (
-    '<scene version="3.0.0"><shape type="sphere"><emitter type="area">'
-    '<rgb name="radiance" value="3,2,1"/></emitter></shape></scene>'
-)
 ROOM = (
     '<scene version="3.0.0"><integrator type="path"><integer name="max_depth" value="4"/>'
     '</integrator><sensor type="perspective"><transform name="to_world">'
@@ -33,7 +30,6 @@ MODEL += "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1/1 3/3 2/2\nf 1/1 2/2 4/3\nf 1/
 MODEL += "f 2/1 3/2 4/3\n"
 MATERIAL = "newmtl glow\nKd 0.5 0.5 0.5\nmap_Kd Stoff grün.png\n"
 OVERRIDES = "[material.glow]\nemitter = { lumens = 800 }\n"
-BUDGET = ["--rays", "300000", "--irradiance-paths", "16384"]
 PLACED = "--place '{0}/lamp.lumitree' --at 0,1,0 --size 1"
 # Command, and a file that it writes. {0} is the folder.
 COMMANDS = [
@@ -85,7 +81,7 @@ def folder(tmp_path, monkeypatch, mi):
     monkeypatch.chdir(tmp_path / "elsewhere")
     folder = tmp_path / FOLDER
     folder.mkdir()
-    (folder / "Lampe ü.xml").write_text(LAMP, encoding="utf-8")
+    (folder / "Lampe ü.xml").write_text(BALL, encoding="utf-8")
     (folder / "Zimmer ü.xml").write_text(ROOM, encoding="utf-8")
     (folder / "Lampe ü.obj").write_text(MODEL, encoding="utf-8")
     (folder / "Lampe größer.mtl").write_text(MATERIAL, encoding="utf-8")
@@ -106,42 +102,3 @@ def test_the_command_works(folder, monkeypatch, command, written):
     assert main(shlex.split(command.format(folder))) == 0
     assert (folder / written).exists()
     assert not list((folder.parent / "elsewhere").iterdir())
-
-
-@pytest.mark.slow
-def test_layers_are_mixed(folder):
-    room = f"render '{folder}/Zimmer ü.xml' -o '{folder}/Bild.png' --spp 1 "
-    room += f"--layers '{folder}/Ebenen ä.exr' --aov '{folder}/Puffer ä.exr' "
-    room += PLACED.format(folder)
-    assert main(shlex.split(room)) == 0
-    assert main(["mix", f"{folder}/Ebenen ä.exr", "-o", f"{folder}/Mischung ä.png"]) == 0
-    assert (folder / "Mischung ä.png").exists()
-
-
-@pytest.mark.slow
-def test_bakes_are_evaluated(folder, monkeypatch):
-    set_qualities(monkeypatch.setitem)
-    asset = f"{folder}/Licht ä.lumitree"
-    assert main(["bake", f"{folder}/Lampe ü.xml", "-o", asset, "--parts", "light"]) == 0
-    report = ["-o", f"{folder}/Bericht ä.png", "--views", "1", "--resolution", "16", "--spp", "4"]
-    assert main(["evaluate", asset, f"{folder}/Lampe ü.xml", *report]) == 0
-
-
-@pytest.mark.slow
-def test_bakes_are_refined(folder, monkeypatch):
-    set_qualities(monkeypatch.setitem)
-    asset, source = f"{folder}/Feld ä.lumitree", f"{folder}/Lampe ü.xml"
-    assert main(["bake", source, "-o", asset, "--parts", "field"]) == 0
-    assert main(["refine", asset, source, "-o", f"{folder}/besser ä.lumitree", *BUDGET]) == 0
-
-
-@pytest.mark.slow
-def test_the_network_is_trained_and_extracted(folder, monkeypatch, network_packages):
-    from lumitree.fit.network.config import PRESETS
-
-    monkeypatch.setitem(PRESETS, "preview", network_config().train)
-    capture = ["capture", f"{folder}/Lampe ü.xml", "-o", f"{folder}/Bilder ä"]
-    assert main([*capture, "--views", "4", "--resolution", "16", "--spp", "4"]) == 0
-    assert main(["train", f"{folder}/Bilder ä", "-o", f"{folder}/Lauf ä"]) == 0
-    extract = ["extract", f"{folder}/Lauf ä", "-o", f"{folder}/Netz ä.lumitree"]
-    assert main([*extract, "--tree-depth", "4"]) == 0

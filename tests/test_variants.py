@@ -76,20 +76,6 @@ def test_either_may_be_imported_first(first, variant):
         assert line == "registered llvm_ad_rgb"
 
 
-def test_mitsuba_first_with_the_libllvm_of_the_system():
-    """It is used if it is new enough, and else refused in one line, by name."""
-    code = """
-import mitsuba as mi
-try:
-    mi.set_variant("llvm_ad_rgb")
-except ImportError:
-    pass
-import lumitree
-"""
-    (line,) = run(code + REGISTER)
-    assert line == "registered llvm_ad_rgb" or (line.startswith("refused") and "libLLVM" in line)
-
-
 def test_variants_may_be_switched(lamp):
     """Under a scalar variant lumitree refuses, and works again when another one is set."""
     code = """

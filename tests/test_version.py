@@ -33,12 +33,6 @@ def test_all_files_agree():
     assert "release = lumitree.__version__" in read("docs/conf.py")
 
 
-def test_the_changelog_has_the_version_and_a_place_for_changes():
-    headings = re.findall(r"^## (.*)$", read("CHANGELOG.md"), re.MULTILINE)
-    assert headings[0] == "Unreleased"
-    assert headings[1].split(" ")[0] == lumitree.__version__
-
-
 def test_constraints_are_within_what_is_required():
     pins = [line for line in read("constraints.txt").splitlines() if line and line[0] != "#"]
     split = (pin.partition("==") for pin in pins)

@@ -1,9 +1,7 @@
 """Jobs whose tasks an executor runs: what they give is what one process gives."""
 
 import contextlib
-import os
 import re
-import signal
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +9,6 @@ import pytest
 
 import lumitree
 from lumitree.cli import main
-from lumitree.core.dask_executor import dask_executor
 from lumitree.core.images import read_exr
 from lumitree.core.process_pool import process_pool
 from lumitree.core.system import num_cores
@@ -23,6 +20,7 @@ from lumitree.rendering import passes, render_job
 from lumitree.trace import capture as views
 from support import executors
 from support.executors import LastFirst
+from support.lamps import room
 from support.variant import VARIANT
 
 LAMP = (
@@ -30,15 +28,8 @@ LAMP = (
     '<rgb name="radiance" value="3,2,1"/></emitter></shape><shape type="cube"><transform '
     'name="to_world"><scale x="1.5" y="0.1" z="0.1"/></transform></shape></scene>'
 )
-ROOM = (
-    '<scene version="3.0.0"><integrator type="path"><integer name="max_depth" value="3"/>'
-    '</integrator><sensor type="perspective"><transform name="to_world">'
-    '<lookat origin="0,1,6" target="0,0.5,0" up="0,1,0"/></transform>'
-    '<film type="hdrfilm"><integer name="width" value="16"/><integer name="height" value="12"/>'
-    '</film></sensor><shape type="rectangle"><transform name="to_world">'
-    '<rotate x="1" angle="-90"/><scale value="4"/></transform></shape>'
-    '<emitter type="constant"><rgb name="radiance" value="0.5,0.5,0.5"/></emitter></scene>'
-)
+SKY = '<emitter type="constant"><rgb name="radiance" value="0.5,0.5,0.5"/></emitter>'
+ROOM = room(16, 12, SKY)
 # Pixels of the room, and samples per pixel of a pass.
 PIXELS, SAMPLES = 16 * 12, 4
 CAPTURE = {"num_views": 5, "resolution": 8, "samples_per_pixel": 4}
@@ -115,29 +106,6 @@ def test_workers_share_the_cores(pool):
     assert pool.submit(executors.num_threads).result() == max(1, num_cores() // 2)
 
 
-def test_a_capture_whose_worker_is_killed_is_finished_by_the_same_call(pool):
-    expected = captured("alone")
-    with process_pool(1) as executor:
-        worker = executor.submit(os.getpid).result()
-
-        def kill_after_two(state):
-            if state.done == 2 and not state.finished:
-                os.kill(worker, signal.SIGKILL)
-
-        # The next view may be finished too.
-        message = (
-            r"^a worker ended unexpectedly, perhaps for lack of memory; [23] of 5 views are "
-            r"finished; the same command continues$"
-        )
-        with pytest.raises(LumitreeError, match=message) as raised:
-            lumitree.capture(
-                "lamp.xml", "shared", **CAPTURE, executor=executor, progress=kill_after_two
-            )
-    written = len(list(Path("shared").glob("*.exr")))
-    assert f"; {written} of 5 views" in str(raised.value)
-    assert_equal_views(captured("shared", pool), expected)
-
-
 def test_images_are_those_of_one_process(pool):
     expected = rendered(samples_per_pixel=18, seed=3)
     for executor in (LastFirst(), pool):
@@ -156,35 +124,6 @@ def test_images_until_a_noise_have_as_many_samples_as_those_of_one_process():
     assert_equal_images(found.pixels, expected.pixels)
 
 
-def test_images_until_a_time_end(monkeypatch):
-    executor = LastFirst()
-    found = rendered(executor, time=1e-3)
-    assert found.samples_per_pixel == SAMPLES
-    # Passes are begun ahead, and those that are not needed are cancelled.
-    assert len(executor.order) <= 2 * executor._max_workers
-    found = rendered(LastFirst(), time=1.0)
-    assert found.samples_per_pixel >= SAMPLES
-    assert found.samples_per_pixel % SAMPLES == 0
-    assert found.pixels.mean() == pytest.approx(
-        rendered(samples_per_pixel=64).pixels.mean(), rel=0.1
-    )
-
-
-def test_a_slow_first_pass_does_not_end_an_image_of_workers(mi, monkeypatch):
-    """It contains the start of the workers."""
-    now = [0.0]
-    monkeypatch.setattr(passes.time, "perf_counter", lambda: now[0])
-    plan = passes._Plan(passes.Budget(seconds=20.0), PIXELS, 0)
-    begun = iter(plan)
-    for _ in range(3):
-        next(begun)
-    now[0] = 15.0
-    plan.finish()
-    assert not plan.is_over
-    assert plan.seconds == 15
-    assert next(begun)[1] == plan.next_samples == SAMPLES
-
-
 @pytest.mark.slow
 def test_layers_are_those_of_one_process():
     lumitree.bake("lamp.xml", "lamp.lumitree", bake_config(), variant=VARIANT)
@@ -198,31 +137,6 @@ def test_layers_are_those_of_one_process():
     assert_equal_images(found.normals, expected.normals)
 
 
-@pytest.mark.slow
-def test_a_dictionary_with_an_asset_is_rendered_by_workers(mi):
-    asset = lumitree.bake("lamp.xml", config=bake_config(), variant=VARIANT).asset
-    room = {
-        "type": "scene",
-        "integrator": {"type": "lumitree_path", "max_depth": 3},
-        "sensor": {
-            "type": "perspective",
-            "film": {"type": "hdrfilm", "width": 16, "height": 12},
-            "to_world": mi.ScalarTransform4f().look_at([0, 1, 6], [0, 0.5, 0], [0, 1, 0]),
-        },
-        "floor": {
-            "type": "rectangle",
-            "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.5, 0.4, 0.3]}},
-            "to_world": mi.ScalarTransform4f().rotate([1, 0, 0], -90).scale(4),
-        },
-    }
-    placements = [lumitree.Placement(asset, at=(0, 1, 0), size=1)]
-    options = {"samples_per_pixel": 8, "variant": VARIANT}
-    expected = lumitree.render(room, placements, **options)
-    found = lumitree.render(room, placements, **options, executor=LastFirst())
-    assert expected.pixels.mean() > 0
-    assert_equal_images(found.pixels, expected.pixels)
-
-
 def test_a_changed_scene_is_read_again():
     executor = LastFirst()
     before = rendered(executor, samples_per_pixel=4)
@@ -234,51 +148,8 @@ def test_a_changed_scene_is_read_again():
 def test_assets_have_the_bytes_of_those_of_one_process(folder, pool):
     lumitree.bake("lamp.xml", "alone.lumitree", bake_config(seed=4), variant=VARIANT)
     expected = (folder / "alone.lumitree").read_bytes()
-    for name, executor in (("last", LastFirst()), ("pool", pool)):
-        lumitree.bake(
-            "lamp.xml", f"{name}.lumitree", bake_config(seed=4), executor=executor, variant=VARIANT
-        )
-        assert (folder / f"{name}.lumitree").read_bytes() == expected
-
-
-@pytest.mark.filterwarnings("ignore::ResourceWarning")
-def test_assets_of_the_workers_of_dask_have_the_same_bytes(folder):
-    distributed = pytest.importorskip(
-        "distributed", reason="the optional dependency cluster is not installed"
-    )
-    lumitree.bake("lamp.xml", "alone.lumitree", bake_config(), variant=VARIANT)
-    with (
-        distributed.LocalCluster(
-            n_workers=2,
-            threads_per_worker=1,
-            processes=False,
-            protocol="tcp://",
-            dashboard_address=":0",
-        ) as cluster,
-        dask_executor(cluster.scheduler_address) as executor,
-    ):
-        lumitree.bake(
-            "lamp.xml", "dask.lumitree", bake_config(), executor=executor, variant=VARIANT
-        )
-    assert (folder / "dask.lumitree").read_bytes() == (folder / "alone.lumitree").read_bytes()
-
-
-def test_the_network_gets_light_paths_and_views_of_workers(network_packages, monkeypatch):
-    from lumitree.fit import bake_network
-
-    class Trained(Exception):  # noqa: N818
-        """What follows is not shared."""
-
-    def stop(*_):
-        raise Trained
-
-    monkeypatch.setattr(bake_network, "_train", stop)
-    executor, light_field = LastFirst(), bake_config().light_field
-    config = lumitree.NetworkConfig(num_views=3, resolution=8, light_field=light_field)
-    with pytest.raises(Trained):
-        lumitree.bake_network("lamp.xml", "a.lumitree", config, executor=executor, variant=VARIANT)
-    assert len(executor.order) == 5 + 3
-    assert len(list(Path("a.work/dataset").glob("*.exr"))) == 3
+    lumitree.bake("lamp.xml", "pool.lumitree", bake_config(seed=4), executor=pool, variant=VARIANT)
+    assert (folder / "pool.lumitree").read_bytes() == expected
 
 
 def test_what_cannot_be_sent_is_refused_before_any_work(mi, folder):
@@ -360,19 +231,6 @@ def test_commands_have_options_for_workers(command, option, value, shared_by, mo
     assert asked == [value]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("--workers", "0"), "workers is 0; expected 1 to 1,024"),
-        (("--workers", "2", "--scheduler", "tcp://a:1"), "not allowed with argument"),
-    ],
-)
-def test_wrong_options_for_workers_are_refused(arguments, message, capsys):
-    assert main(["render", "room.xml", "-o", "room.exr", *arguments]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert message in line
-
-
 def test_workers_are_refused_where_there_are_no_light_paths(folder, capsys):
     (folder / "a.ies").write_text("IESNA:LM-63-2002\nTILT=NONE\n")
     for luminaire, more, message in (
@@ -382,14 +240,3 @@ def test_workers_are_refused_where_there_are_no_light_paths(folder, capsys):
         command = ["bake", luminaire, "-o", "a.lumitree", "--workers", "2", *more]
         assert main(command) == 2
         assert re.search(message, capsys.readouterr().err)
-
-
-def test_without_dask_the_option_says_what_to_install(monkeypatch, capsys):
-    from lumitree.core import extras
-
-    monkeypatch.setattr(extras, "CLUSTER", {"no_such_module": "distributed"})
-    assert main(["render", "room.xml", "-o", "room.exr", "--scheduler", "tcp://a:1"]) == 2
-    assert capsys.readouterr().err == (
-        "lumitree: error: a Dask scheduler needs packages that are not installed (distributed); "
-        "install them with `pip install 'lumitree[cluster]'`\n"
-    )

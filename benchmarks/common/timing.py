@@ -24,6 +24,13 @@ class Clock:
         return {"wall": time.perf_counter() - wall, "cpu": time.process_time() - cpu}
 
 
+def device_clock() -> ClockName:
+    """CPU time, which other programs change little; wall time where a GPU does the work."""
+    from lumitree.core.backend import GPU_VARIANT, load_mitsuba
+
+    return "wall" if load_mitsuba().variant() == GPU_VARIANT else "cpu"
+
+
 def interleaved(
     jobs: Mapping[str, Job], rounds: int = MIN_ROUNDS, clock: ClockName = "wall"
 ) -> dict[str, float]:

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+import lumitree
 from benchmarks.common.timing import Clock, ClockName
-from lumitree.core.files import atomic_path, write_json
+from lumitree.core.files import atomic_path
 
 Floats = NDArray[np.float32]
 # render(samples a pixel, seed) -> picture [H, W, 3]
@@ -20,6 +21,8 @@ Render = Callable[[int, int], Floats]
 
 MIN_BATCHES, MAX_BATCHES = 8, 32
 MIN_RUNGS = 6
+# Packages of the code that an image of a baked lamp depends on.
+_SOURCES = ("rendering", "octree", "asset", "core")
 # Seeds of long runs start here; those of ladders stay below. Each run may have so many images.
 _LONG_SEEDS, _RUN_SEEDS, _RUNS = 1 << 14, 1 << 15, 1 << 15
 
@@ -152,6 +155,7 @@ def _rung(samples: int, images: Floats, wall: Any, cpu: Any) -> dict:
     return {"samples": samples, "images": images, "seconds": {"wall": wall, "cpu": cpu}}
 
 
-def remember(folder: Path, what: dict) -> None:
-    """Write what a folder's hash stands for, for people."""
-    write_json(folder / "key.json", what)
+def code_digest() -> str:
+    """Hash of the package's code that renders a baked lamp."""
+    package = Path(lumitree.__file__).parent
+    return digest(*sorted(file for part in _SOURCES for file in (package / part).rglob("*.py")))

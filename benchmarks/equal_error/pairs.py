@@ -1,92 +1,64 @@
-"""Pairs of a luminaire and a room: which lamp hangs where, and in which pixels it is seen."""
+"""Pairs of a luminaire and a room at night: which lamp is where, and in which pixels it is seen."""
 
-import argparse
 import dataclasses
-import tomllib
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
-# The pairs of the published figures.
-PAIRS = Path(__file__).parents[1] / "equal_quality_pairs.toml"
 SEEN_RAYS = 16  # a pixel, to tell which show the lamp
+Place = Literal["hanging", "standing"]
+# Centre of the lamp's box and its height, scene units, by room and place. The rooms have no light
+# of their own; `standing` is on a table, or on the floor of the hall.
+PLACES: dict[tuple[str, Place], tuple[tuple[float, float, float], float]] = {
+    ("living_room", "hanging"): ((1.0, 2.45, -1.75), 0.85),
+    ("living_room", "standing"): ((2.72, 0.83, -1.6), 0.4),
+    ("veach_bidir", "hanging"): ((0.0, 6.78, -1.0), 2.4),
+    ("veach_bidir", "standing"): ((-2.3, 2.7, -2.2), 1.6),
+    ("modern_hall", "hanging"): ((-2.4, 4.85, 1.5), 1.5),
+    ("modern_hall", "standing"): ((-0.5, 0.8, 1.6), 1.6),
+}
 
 
 @dataclasses.dataclass(frozen=True)
 class Pair:
-    """A luminaire, its asset and where both hang in a room."""
+    """A luminaire, its asset and where both are in a room.
 
-    luminaire: str
+    Attributes:
+        luminaire: source of the explicit lamp.
+        asset: file of its bake.
+        room: file of the room.
+        at: [3] centre of the lamp's box, scene units.
+        size: longest side of the box, scene units.
+    """
+
+    luminaire: Any
     asset: str
     room: str
     at: tuple[float, float, float]
     size: float
-    bake_seconds: float | None = None
-
-    @property
-    def lamp_name(self) -> str:
-        """Built-in name, or the folder of a file (and the file's own name where it says more)."""
-        path = Path(self.luminaire)
-        if not path.suffix:
-            return self.luminaire
-        folder = path.resolve().parent.name
-        return folder if path.stem == "luminaire" else f"{folder}-{path.stem}"
-
-    @property
-    def room_name(self) -> str:
-        """The folder of the room's file."""
-        return Path(self.room).resolve().parent.name
 
     @property
     def name(self) -> str:
-        """For files."""
-        return f"{self.lamp_name}-{self.room_name}"
+        """For files: the asset's name and the folder of the room's file."""
+        return f"{Path(self.asset).stem}-{Path(self.room).resolve().parent.name}"
 
 
-def add_folders(parser: argparse.ArgumentParser) -> None:
-    """`--rooms`, `--assets` and `--data`: where the files of `read_pairs` are."""
-    parser.add_argument(
-        "--rooms", metavar="FOLDER", type=Path, default=Path("rooms"), help="ROOM/room_night.xml"
-    )
-    parser.add_argument(
-        "--assets", metavar="FOLDER", type=Path, default=Path(), help="of the pairs' assets"
-    )
-    parser.add_argument(
-        "--data", metavar="FOLDER", type=Path, default=Path(), help="of luminaires from files"
-    )
-
-
-def read_pairs(
-    path: Path, rooms: Path, assets: Path, data: Path, only: str | None = None
-) -> list[Pair]:
-    """Pairs of a TOML file; heights become sizes by the luminaire's own proportions.
+def make_pair(luminaire: Any, asset: Path, rooms: Path, room: str, place: Place) -> Pair:
+    """A luminaire at a place of a room; its height becomes a size by its own proportions.
 
     Args:
-        only: the luminaire, as the file has it, whose pairs are read; None for all.
+        rooms: folder of rooms, ROOM/room_night.xml.
+        room: of `PLACES`.
     """
     from lumitree.lamp.loading import load_luminaire
 
-    pairs = []
-    for entry in tomllib.loads(path.read_text())["pair"]:
-        name = entry["luminaire"]
-        if only not in (None, name):
-            continue
-        source = str(data / name) if name.endswith(".xml") else name
-        size = load_luminaire(source).size
-        pairs.append(
-            Pair(
-                luminaire=source,
-                asset=str(assets / entry["asset"]),
-                room=str(rooms / entry["room"] / "room_night.xml"),
-                at=tuple(entry["at"]),
-                size=float(entry["height"] * size.max() / size[1]),
-                bake_seconds=entry.get("bake_seconds"),
-            )
-        )
-    return pairs
+    at, height = PLACES[room, place]
+    size = load_luminaire(luminaire).size
+    file = str(rooms / room / "room_night.xml")
+    return Pair(luminaire, str(asset), file, at, float(height * size.max() / size[1]))
 
 
 def shows_lamp(baked: Any) -> NDArray[np.bool_]:

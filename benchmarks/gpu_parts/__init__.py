@@ -1,1 +1,1 @@
-"""Parts of the benchmark `gpu`: what each does, their processes, and the page of their results."""
+"""Parts of the benchmark `gpu`: what each measures, its process, and the page of the results."""

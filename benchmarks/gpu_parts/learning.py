@@ -1,128 +1,96 @@
-"""The network: a step, the paper's settings for as long as there is time, and its octree."""
+"""The network by the paper's settings for as long as there is time, with its octree."""
 
+import dataclasses
+import importlib
 import time
-from pathlib import Path
 from typing import Any
 
 import lumitree
-from benchmarks.gpu_parts.part import Context, UnfinishedError, read_json
-from benchmarks.paper_tables.running import Setting, run_cell
+from benchmarks.common.tables import Table
+from benchmarks.gpu_parts.part import Context, SkippedError
 from benchmarks.paper_tables.scales import SCALES
+from benchmarks.paper_tables.scoring import score_asset, score_network
 from benchmarks.paper_tables.work import Work
-from lumitree.core.backend import load_rgb
+from lumitree.core.backend import GPU_VARIANT, load_rgb
+from lumitree.core.dataset import Dataset
 
-# Steps that tell the speed, and the least that is worth starting.
-_FIRST_STEPS, _LEAST_STEPS = 300, 200
-# Seconds in which a run is saved and evaluated.
-_MARGIN = 20.0
-# Part of the time left that is planned for steps; compiling takes some of it again.
-_PLANNED = 0.8
+# Steps that tell the speed, and the part of the time left that is planned for steps: compiling
+# takes some of it again.
+_FIRST_STEPS, _PLANNED = 300, 0.8
+# On the page.
+METRICS = ("psnr_linear", "psnr_linear_black", "psnr_mulaw", "ssim_linear", "opacity_rmse")
 
 
-def measure_paper(context: Context, cell: str) -> dict[str, Any]:
-    """A cell of the benchmark `paper`.
-
-    Returns:
-        `command`, which measures it; its `values` and `seconds`.
+def check_jax(context: Context) -> None:
+    """Skip a part of the network where it would be trained on the CPU beside a GPU.
 
     Raises:
-        UnfinishedError: the time is spent before it is complete.
+        SkippedError: JAX is missing, or Mitsuba uses a GPU and JAX has none.
     """
-    context.check_jax()
-    scale = context.sizes.paper
-    command = f"python -m benchmarks paper --scale {scale} --cell {cell}"
-    setting = Setting(
-        scale=scale,
-        results=context.benchmarks,
-        images=context.work / "images",
-        work=context.work / "paper",
-        rooms=context.work / "rooms",
-        variant=context.variant,
-        command=f"{command} --variant {context.variant}",
-        end=context.end - _MARGIN,
-    )
-    if not run_cell(cell, setting):
-        raise UnfinishedError
-    record = setting.store.record(cell)
-    assert record is not None
-    return {name: record[name] for name in ("values", "seconds")} | {"command": setting.command}
+    try:
+        jax = importlib.import_module("jax")
+    except ImportError as error:
+        raise SkippedError(f"the network needs JAX: {error}") from error
+    if context.variant == GPU_VARIANT and jax.default_backend() != "gpu":
+        raise SkippedError("JAX has no GPU; pip install 'lumitree[cuda]' brings what it needs")
 
 
-def train_network(context: Context) -> dict[str, Any]:
-    """Train by the paper's settings until the time is spent; a later call continues.
+def learn(context: Context) -> dict[str, Any]:
+    """Train by the paper's settings until the time is nearly spent; a later call continues.
 
     Returns:
         `steps` of `planned`; `seconds` of training; `rays_per_second`; `psnr` of held-out rays and
-        `psnr_black`, dB; and `history`, the PSNR by step and second.
-
-    Raises:
-        UnfinishedError: the time is spent before the last step.
+        `psnr_black`, dB; then `octree`, with its depth, seconds, leaves and bytes; and `scores`,
+        the metrics on test views of the network and of the octree.
     """
-    context.check_jax()
+    check_jax(context)
     load_rgb(context.variant)
-    from lumitree.fit.network.run import HISTORY
     from lumitree.fit.network.train import train
 
-    sizes, run = context.sizes, run_folder(context)
-    work = Work(context.work / "paper" / sizes.paper, SCALES[sizes.paper])
-    dataset = work.views(sizes.network_lamp, sizes.views, "train").path
-    steps = _FIRST_STEPS
-    while True:
+    sizes, run = context.sizes, context.work / "run"
+    scale = dataclasses.replace(SCALES[sizes.paper], network=sizes.network)
+    work = Work(context.work / "paper" / sizes.paper, scale)
+    dataset = work.views(sizes.network_lamp, scale.train, "train").path
+    test = Dataset.open(work.views(sizes.network_lamp, scale.test, "test").path)
+    steps, values = _FIRST_STEPS, {}
+    while steps > 0:
         start = time.monotonic()
         result = train(dataset, run, sizes.network, resume=run.exists(), stop_after=steps)
         values = {
-            "steps": result.steps,
-            "planned": sizes.network.num_steps,
-            "seconds": result.seconds,
-            "rays_per_second": result.rays_per_second,
-            "psnr": result.psnr,
-            "psnr_black": result.psnr_black,
-            "history": read_json(run / HISTORY),
-        }
+            name: getattr(result, name)
+            for name in ("steps", "seconds", "rays_per_second", "psnr", "psnr_black")
+        } | {"planned": sizes.network.num_steps}
         context.report(values)
-        if result.steps >= sizes.network.num_steps:
-            return values
         rate = steps / (time.monotonic() - start)
-        steps = int(_PLANNED * rate * (context.seconds_left - _MARGIN))
-        if steps < _LEAST_STEPS or result.stopped_by is not None:
-            raise UnfinishedError
-
-
-def extract_octree(context: Context) -> dict[str, Any]:
-    """Octrees of the network that is trained so far, one depth after the other.
-
-    Returns:
-        `steps` of the training, and `octrees`: of each its `depth`, `seconds`, `leaves` and
-        `bytes`, and `samples_per_leaf`.
-
-    Raises:
-        UnfinishedError: nothing is trained yet.
-    """
-    context.check_jax()
-    from lumitree.fit.network.run import HISTORY
-
-    history = read_json(run_folder(context) / HISTORY)
-    if not history:
-        raise UnfinishedError("the network is not trained yet")
-    depths, samples = context.sizes.extraction
-    values: dict[str, Any] = {"steps": history[-1]["step"], "octrees": []}
-    for depth in depths:
-        start = time.monotonic()
-        path = context.work / "extracted.lumitree"
-        found = lumitree.extract(
-            run_folder(context),
-            path,
-            tree_depth=depth,
-            samples_per_leaf=samples,
-            variant=context.variant,
-        )
-        octree = {"depth": depth, "samples_per_leaf": samples}
-        octree |= {"seconds": time.monotonic() - start, "leaves": found.asset.num_leaves}
-        values["octrees"].append(octree | {"bytes": path.stat().st_size})
-        context.report(values)
+        left = context.seconds_left - sizes.reserve
+        steps = min(int(_PLANNED * rate * left), sizes.network.num_steps - result.steps)
+        if steps < _FIRST_STEPS:
+            break
+    start, path = time.monotonic(), context.work / "extracted.lumitree"
+    depth, samples = sizes.octree
+    lumitree.extract(run, path, tree_depth=depth, samples_per_leaf=samples, variant=context.variant)
+    seconds, leaves = time.monotonic() - start, lumitree.load(path).num_leaves
+    values["octree"] = {"depth": depth, "seconds": seconds, "leaves": leaves}
+    values["octree"]["bytes"] = path.stat().st_size
+    context.report(values)
+    scores = {"network": score_network(run, test), "octree": score_asset(path, test)}
+    values["scores"] = {name: each.metrics for name, each in scores.items()}
     return values
 
 
-def run_folder(context: Context) -> Path:
-    """Folder of the training."""
-    return context.work / "run"
+def show_learning(values: dict[str, Any]) -> str:
+    """Markdown of `learn`, also of the values before its end."""
+    text = (
+        f"{values['steps']:,} of {values['planned']:,} steps in {values['seconds']:.0f} s, "
+        f"{values['rays_per_second'] / 1e3:.0f} thousand rays a second; held-out rays of the "
+        f"training views: {values['psnr']:.2f} dB, black {values['psnr_black']:.2f} dB.\n"
+    )
+    if octree := values.get("octree"):
+        text += (
+            f"Octree of depth {octree['depth']}: {octree['leaves']:,} leaves, "
+            f"{octree['bytes'] / 1e6:.1f} MB, {octree['seconds']:.1f} s.\n"
+        )
+    if scores := values.get("scores"):
+        rows = [[name, *(f"{each[name]:.4g}" for each in scores.values())] for name in METRICS]
+        text += "\n" + Table(["metric, on test views", *scores], rows).markdown()
+    return text

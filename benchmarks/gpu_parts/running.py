@@ -1,13 +1,12 @@
 """Runs parts one after the other, each in a process of its own, until the time is spent.
 
-A process that crashes, hangs, or hangs at its end costs its own part only. Each part leaves a
-record in the folder of the results, and its log in the work folder.
+A process that crashes or hangs costs its own part only. Each part leaves a record in the folder of
+the results, and its log in the work folder.
 """
 
 import contextlib
 import os
 import platform
-import resource
 import signal
 import subprocess
 import sys
@@ -20,18 +19,14 @@ import lumitree
 from benchmarks.common.setting import commit, nvidia, processor, version
 from benchmarks.gpu_parts.part import ROOT, Outcome, Part, read_json
 from benchmarks.gpu_parts.sizes import SizeName
-from benchmarks.paper_tables.work import plain
 from lumitree.core.files import write_json
 
-# Seconds between looks at a process, between looks at the GPU's memory, that a process gets to end
-# once it has done, and to write where it is before it is killed.
-_INTERVAL, _MEMORY_INTERVAL, _TO_END, _TO_DUMP = 0.25, 2.0, 10.0, 3.0
+# Seconds between looks at a process, and for it to end by itself once it has its values.
+_INTERVAL, _TO_END = 0.25, 10.0
+# Least seconds with which a part is begun.
+_LEAST = 30.0
 # Whose versions are recorded.
 _PACKAGES = ("mitsuba", "drjit", "karellen-llvm-core", "jax", "jaxlib", "numpy")
-# What is not measured again by itself.
-_FINAL: tuple[Outcome, ...] = ("done", "skipped", "failed", "timed out")
-# Those that are measured again when asked.
-_AGAIN: tuple[Outcome, ...] = ("failed", "timed out")
 
 
 class Run:
@@ -51,14 +46,9 @@ class Run:
         self.size, self.variant, self.command = size, variant, command
         self.folder, self.work = folder.resolve(), work.resolve()
 
-    def path(self, part: Part) -> Path:
-        """File of a part's record."""
-        return self.folder / f"{part.name}.json"
-
-    def record(self, part: Part) -> dict[str, Any] | None:
-        """Record of a part; None if there is none, or one with other parameters."""
-        found = read_json(self.path(part))
-        return found if found and found["parameters"] == self._parameters(part) else None
+    def record(self, part: Part) -> dict[str, Any]:
+        """Record of a part; empty if there is none."""
+        return read_json(self.folder / f"{part.name}.json")
 
     def is_due(self, part: Part, again: bool = False) -> bool:
         """Whether a part has to be measured.
@@ -66,10 +56,8 @@ class Run:
         Args:
             again: also if it failed.
         """
-        record = self.record(part)
-        if record is None or record["outcome"] not in _FINAL:
-            return True
-        return again and record["outcome"] in _AGAIN
+        outcome = self.record(part).get("outcome", "unfinished")
+        return outcome == "unfinished" or (again and outcome in ("failed", "timed out"))
 
     def measure(self, part: Part, seconds: float, command: Sequence[str] | None = None) -> Outcome:
         """Run a part in a process of its own for at most so many seconds, and write its record.
@@ -78,36 +66,36 @@ class Run:
             command: of the process, to which the file of its job is added.
         """
         start = time.time()
+        end = start + min(seconds, part.seconds)
         self.work.mkdir(parents=True, exist_ok=True)
-        state, job = (self.work / f"{part.name}.{kind}.json" for kind in ("state", "job"))
-        log = self.work / "logs" / f"{part.name}.log"
-        log.parent.mkdir(exist_ok=True)
+        state, job, log = (self.work / f"{part.name}.{kind}" for kind in ("state", "job", "log"))
         state.unlink(missing_ok=True)
-        described = {"part": part.name, "size": self.size, "variant": self.variant}
+        described = {"part": part.name, "size": self.size, "variant": self.variant, "end": end}
         described |= {"work": str(self.work), "folder": str(self.folder), "state": str(state)}
-        write_json(job, described | {"end": start + seconds})
+        write_json(job, described)
         process = command or [sys.executable, "-m", "benchmarks.gpu_parts"]
-        ended = run_process([*process, str(job)], state, log, start + seconds)
+        how = _run_process([*process, str(job)], state, log, end)
         found = read_json(state)
-        outcome, reason = _outcome(found, ended, seconds < part.seconds, log)
+        outcome: Outcome = found.get("outcome") or "failed"
+        reason = found.get("reason", "")
+        if not found.get("outcome") and how == "killed":
+            outcome = "timed out" if seconds >= part.seconds else "unfinished"
+        elif not found.get("outcome"):
+            lines = [each for each in log.read_text(errors="replace").splitlines() if each.strip()]
+            last = lines[-1].replace(str(ROOT), "").strip()[:300] if lines else ""
+            reason = f"{how}: {last}"
         record = {
             "part": part.name,
-            "parameters": self._parameters(part),
+            "size": self.size,
             "outcome": outcome,
             "reason": reason,
             "values": found.get("values", {}),
             "setting": machine(self.command, self.variant),
             "seconds": round(time.time() - start, 1),
-            **ended["memory"],
-            "end_of_process": ended["how"],
         }
-        write_json(self.path(part), plain(record))
-        for path in (state, job):
-            path.unlink(missing_ok=True)
+        self.folder.mkdir(parents=True, exist_ok=True)
+        write_json(self.folder / f"{part.name}.json", record)
         return outcome
-
-    def _parameters(self, part: Part) -> Any:
-        return plain({**part.parameters, "size": self.size, "variant": self.variant})
 
 
 def run_parts(
@@ -119,8 +107,6 @@ def run_parts(
 ) -> None:
     """Measure the parts that are due, in their order, until the time is spent.
 
-    A part is begun if enough time is left for it, and ended when the time is spent.
-
     Args:
         seconds: of all parts together.
         again: also those that failed.
@@ -128,33 +114,25 @@ def run_parts(
     """
     end = time.time() + seconds
     for part in parts:
-        if not run.is_due(part, again):
-            continue
         left = end - time.time()
-        if left < min(part.least, part.seconds):
-            print(f"{part.name}: {max(left, 0):.0f} s are left, too few", file=sys.stderr)
+        if not run.is_due(part, again) or left < _LEAST:
             continue
         start = time.time()
-        outcome = run.measure(part, min(part.seconds, left))
-        print(f"{part.name}: {outcome}, {time.time() - start:.0f} s", file=sys.stderr)
+        outcome = run.measure(part, left)
+        print(f"{part.name}: {outcome}, {time.time() - start:.0f} s", file=sys.stderr, flush=True)
         after()
 
 
-def run_process(command: Sequence[str], state: Path, log: Path, end: float) -> dict[str, Any]:
-    """Run a process, and end it and all that it has started at a time.
+def _run_process(command: Sequence[str], state: Path, log: Path, end: float) -> str:
+    """Run a process, and end it and all that it has started at a time; returns how it ended.
 
     Args:
         state: file of its values; it gets some seconds to end once this holds an outcome.
         log: file of what it prints.
         end: `time.time()` at which it is ended.
-
-    Returns:
-        `how` it ended: "by itself", "killed at its end", "killed" or how it crashed; and `memory`:
-        `peak_memory_bytes` of the process, and `peak_gpu_bytes` in use on the GPUs, by all.
     """
-    environment = {
-        **os.environ,
-        # JAX takes three quarters of a GPU's memory otherwise.
+    environment = os.environ | {
+        # JAX takes three quarters of the GPU's memory otherwise.
         "XLA_PYTHON_CLIENT_PREALLOCATE": "false",
         "PYTHONFAULTHANDLER": "1",
         "PYTHONUNBUFFERED": "1",
@@ -169,83 +147,19 @@ def run_process(command: Sequence[str], state: Path, log: Path, end: float) -> d
             stdin=subprocess.DEVNULL,
             start_new_session=True,
         )
-    peak, looked, done = 0, 0.0, None
-    usage: resource.struct_rusage | None = None
-    how = ""
     try:
-        while True:
-            if (usage := _ended(process)) is not None:
-                how = _how(process.returncode)
-                break
-            now = time.time()
-            if now - looked > _MEMORY_INTERVAL:
-                looked, peak = now, max(peak, _gpu_bytes())
-            if done is None and read_json(state).get("outcome"):
-                done = now
-            if now > end or (done is not None and now - done > _TO_END):
-                how = "killed" if done is None else "killed at its end"
-                usage = _stop(process)
-                break
+        while process.poll() is None:
+            if read_json(state).get("outcome"):
+                end = min(end, time.time() + _TO_END)
+            if time.time() > end:
+                return "killed"
             time.sleep(_INTERVAL)
     finally:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
-    memory = {
-        "peak_memory_bytes": None if usage is None else usage.ru_maxrss * 1024,
-        "peak_gpu_bytes": peak,
-    }
-    return {"how": how, "memory": memory}
-
-
-def _ended(process: subprocess.Popen[bytes]) -> resource.struct_rusage | None:
-    """What a process has used, if it has ended."""
-    found, status, usage = os.wait4(process.pid, os.WNOHANG)
-    if not found:
-        return None
-    process.returncode = os.waitstatus_to_exitcode(status)
-    return usage
-
-
-def _stop(process: subprocess.Popen[bytes]) -> resource.struct_rusage | None:
-    """End a process; its fault handler writes where each thread is."""
-    usage, end = None, time.time() + _TO_DUMP
-    os.kill(process.pid, signal.SIGABRT)
-    while usage is None and time.time() < end:
-        time.sleep(_INTERVAL)
-        usage = _ended(process)
-    if usage is None:
-        os.killpg(process.pid, signal.SIGKILL)
         process.wait()
-    return usage
-
-
-def _how(code: int) -> str:
-    if code == 0:
-        return "by itself"
-    return f"by {signal.Signals(-code).name}" if code < 0 else f"with exit status {code}"
-
-
-def _gpu_bytes() -> int:
-    """Memory in use on all NVIDIA GPUs."""
-    used = [text for text in nvidia("memory.used") if text.strip().isdigit()]
-    return sum(map(int, used)) << 20
-
-
-def _outcome(
-    found: dict[str, Any], ended: dict[str, Any], is_cut: bool, log: Path
-) -> tuple[Outcome, str]:
-    """Outcome of a part, and the reason in one line.
-
-    Args:
-        is_cut: whether the process had less time than the part may take.
-    """
-    if found.get("outcome"):
-        return found["outcome"], found["reason"]
-    if ended["how"] == "killed":
-        return ("unfinished", "") if is_cut else ("timed out", "")
-    lines = [line for line in log.read_text(errors="replace").splitlines() if line.strip()]
-    last = lines[-1].replace(str(ROOT), "").strip()[:300] if lines else ""
-    return "failed", f"{ended['how']}: {last}"
+    code = process.returncode
+    return f"by {signal.Signals(-code).name}" if code < 0 else f"exit status {code}"
 
 
 def machine(command: str, variant: str) -> dict[str, Any]:

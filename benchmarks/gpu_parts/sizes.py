@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Literal, get_args
 
-from benchmarks.paper_tables.scales import SCALES, ScaleName, Views
+from benchmarks.paper_tables.scales import SCALES, ScaleName
 from lumitree.asset.asset import PARTS
 from lumitree.fit.config import BakeConfig
 from lumitree.fit.network.config import PRESETS, TrainConfig
@@ -37,16 +37,12 @@ class Sizes:
         paths: light paths of a light field.
         bake: settings of the asset of the first lamp.
         patience: factor on the limits of time of the parts.
-        devices: rays of the bakes (0: without radiance fields), width of the images in pixels, and
-            samples per pixel.
-        luminaires: pixels per side and samples per pixel of the captures.
-        query: rays of a query, and the depth of the deepest tree.
-        equal: seconds of rendering for the figures at equal error, and width in pixels.
-        paper: scale of the benchmark `paper` of which a step and a lamp are measured.
+        illumination: width of its images in pixels, and samples per pixel.
+        paper: scale of the benchmark `paper`, whose views the network learns from and is tested on.
         network_lamp: what the network learns.
-        views: that it learns from.
         network: its settings.
-        extraction: tree depths, and positions averaged in a leaf.
+        octree: tree depth of its octree, and positions averaged in a leaf.
+        reserve: seconds that the octree and the scores take after the training.
         tests: folders and files of the tests, by part.
         test_seconds: after which a test counts as hanging.
     """
@@ -60,15 +56,12 @@ class Sizes:
     paths: int
     bake: BakeConfig
     patience: float
-    devices: tuple[int, int, int]
-    luminaires: tuple[int, int]
-    query: tuple[int, int]
-    equal: tuple[float, int]
+    illumination: tuple[int, int]
     paper: ScaleName
     network_lamp: str
-    views: Views
     network: TrainConfig
-    extraction: tuple[tuple[int, ...], int]
+    octree: tuple[int, int]
+    reserve: float
     tests: Mapping[str, tuple[str, ...]]
     test_seconds: float
 
@@ -91,15 +84,12 @@ SIZES: dict[SizeName, Sizes] = {
             irradiance_paths=0,
         ),
         patience=1.0,
-        devices=(1 << 22, 480, 64),
-        luminaires=(192, 32),
-        query=(1 << 19, 10),
-        equal=(60.0, 240),
+        illumination=(480, 64),
         paper="gpu",
         network_lamp="dallas",
-        views=SCALES["gpu"].train,
         network=PRESETS["paper"],
-        extraction=((8, 9, 10), 64),
+        octree=(8, 64),
+        reserve=90.0,
         tests={
             # Those that compare kernels with reference implementations, and samplers by χ².
             "kernels": (
@@ -111,9 +101,6 @@ SIZES: dict[SizeName, Sizes] = {
                 "tests/octree",
             ),
             "rendering": ("tests/rendering",),
-            "tracing": ("tests/trace", "tests/measure"),
-            "fits": ("tests/fit/light_field", "tests/fit/octree"),
-            "others": ("tests/lamp", "tests/core", "tests/asset", "tests/formats"),
         },
         test_seconds=120.0,
     ),
@@ -145,15 +132,12 @@ SIZES: dict[SizeName, Sizes] = {
         ),
         # Other work may share the cores.
         patience=3.0,
-        devices=(0, 32, 1),
-        luminaires=(16, 1),
-        query=(1 << 12, 5),
-        equal=(2.0, 24),
+        illumination=(32, 1),
         paper="test",
         network_lamp="neoclassical",
-        views=SCALES["test"].train,
         network=dataclasses.replace(SCALES["test"].network, num_steps=600),
-        extraction=((3, 4), 4),
+        octree=(4, 4),
+        reserve=60.0,
         tests={"kernels": ("tests/rendering/test_alias_table.py",)},
         test_seconds=120.0,
     ),

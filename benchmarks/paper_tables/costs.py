@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from benchmarks.paper_tables.found import Found
+from benchmarks.paper_tables.cells import Found
 from benchmarks.paper_tables.scales import LAMPS
 
 # As the paper's text has them.

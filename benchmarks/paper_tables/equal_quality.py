@@ -13,27 +13,28 @@ All are compared with the reference at the RMSE that the paper's method has for 
 coarser levels, over the whole image and over the pixels that do not show the lamp's box.
 """
 
-import argparse
 import dataclasses
+import io
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import FormatStrFormatter
 
-from benchmarks.paper_tables.cells import Cell, Measured
-from benchmarks.paper_tables.display_times import pace, readings, speedup_of
-from benchmarks.paper_tables.found import Found
+from benchmarks.equal_error.pairs import Pair, make_pair, shows_lamp
+from benchmarks.paper_tables.cells import Cell, Found, Measured
+from benchmarks.paper_tables.methods import Method, Way, pace, readings, speedup_of
 from benchmarks.paper_tables.pictures import stack, strip
 from benchmarks.paper_tables.scales import LAMPS, Scale
 from benchmarks.paper_tables.scoring import costs
-from benchmarks.paper_tables.work import Built, Work
+from benchmarks.paper_tables.work import Work
 from lumitree.asset.file import load, save
+from lumitree.core.files import write_bytes
 from lumitree.core.images import tonemap
 from lumitree.errors import LumitreeError
-
-if TYPE_CHECKING:
-    from benchmarks.equal_error.method import Method
-    from benchmarks.equal_error.pairs import Pair
 
 # Room, samples, RMSE and seconds of path tracing and of the paper's method, speed-up as printed.
 PAPER = {
@@ -42,6 +43,14 @@ PAPER = {
     "cluster": ("Living Room 2", (1024, 7.5267, 19 * 60.0), (4, 7.4239, 11.9), 95.8),
     "neoclassical": ("Bedroom", (1024, 7.2304, 14.1 * 60), (16, 7.3782, 22.2), 38.11),
     "star": ("Living Room 2", (512, 2.6439, 7.8 * 60), (32, 2.7113, 53.0), 8.83),
+}
+# Where the stand-ins hang.
+ROOMS = {
+    "portica": "living_room",
+    "dallas": "veach_bidir",
+    "cluster": "modern_hall",
+    "neoclassical": "veach_bidir",
+    "star": "modern_hall",
 }
 METHODS = {
     "proxy": "the paper: uniform over the proxy, thresholds",
@@ -55,6 +64,14 @@ REFERENCES = {
     "divided": "the long run of the divided method",
 }
 PARTS = {"whole": "whole image", "beside": "beside the lamp"}
+_LABELS = {
+    "proxy": "the paper's way",
+    "leaves": "+ importance\nsampling",
+    "divided": "+ illumination and\nappearance divided",
+}
+_DPI = 110
+# Where the paper's own figures are.
+_PRINTED = -0.9
 # Parts of the time: the reference and its ladder; each method's long run and ladder.
 _REFERENCE, _REFERENCE_LADDER, _LONG, _LADDER = 0.55, 0.09, 0.08, 0.04
 
@@ -79,16 +96,14 @@ def _levels(lamp: str) -> tuple[float, ...]:
 
 def measure(work: Work, lamp: str) -> Measured:
     """Long runs and ladders of all methods, and the time of each at each level."""
-    from benchmarks.equal_error.pairs import PAIRS, read_pairs, shows_lamp
-
     if work.rooms is None:
         raise LumitreeError(f"5-{lamp} needs a room; give the folder of rooms with --rooms")
     asset = work.direct_asset(lamp, work.scale.direct)
     field_only = asset.path.with_name("field.lumitree")
     if not field_only.is_file():
         save(dataclasses.replace(load(asset.path), light_field=None, geometry=None), field_only)
-    (pair,) = read_pairs(PAIRS, work.rooms, asset.path.parent, Path(), only=lamp)
-    methods = _methods(pair, field_only, asset, work)
+    pair = make_pair(lamp, asset.path, work.rooms, ROOMS[lamp], "hanging")
+    methods = _methods(pair, field_only, work)
     seconds = work.scale.equal.seconds
     for name, method in methods.items():
         parts = (_REFERENCE, _REFERENCE_LADDER) if name == "explicit" else (_LONG, _LADDER)
@@ -103,10 +118,9 @@ def measure(work: Work, lamp: str) -> Measured:
         for reference in REFERENCES
     }
     values: dict[str, Any] = {
-        "room": pair.room_name,
+        "room": ROOMS[lamp],
         "parts": parts,
         "seconds_per_sample": {name: pace(method) for name, method in methods.items()},
-        "integrators": {name: method.kind for name, method in methods.items()},
         "has_geometry": load(asset.path).geometry is not None,
         "costs": costs(asset),
     }
@@ -117,27 +131,18 @@ def measure(work: Work, lamp: str) -> Measured:
     return Measured(values, images)
 
 
-def _methods(pair: "Pair", field: Path, whole: Built, work: Work) -> "dict[str, Method]":
-    from benchmarks.equal_error.method import Method, Way
-
-    equal = work.scale.equal
-    options = argparse.Namespace(
-        width=equal.width,
-        path_depth=equal.path_depth,
-        explicit="lumitree_path",
-        cache=work.folder / "equal-quality",
-    )
+def _methods(pair: Pair, field: Path, work: Work) -> dict[str, Method]:
+    equal, cache = work.scale.equal, work.folder / "equal-quality"
     alone = dataclasses.replace(pair, asset=str(field))
-    both = dataclasses.replace(pair, asset=str(whole.path))
     return {
-        "explicit": Method(pair, False, options),
-        "proxy": Method(alone, True, options, Way("uniform", 0.1, 0.9)),
-        "leaves": Method(alone, True, options),
-        "divided": Method(both, True, options),
+        "explicit": Method(pair, False, equal, cache),
+        "proxy": Method(alone, True, equal, cache, Way("uniform", 0.1, 0.9)),
+        "leaves": Method(alone, True, equal, cache),
+        "divided": Method(pair, True, equal, cache),
     }
 
 
-def equal_time(methods: "dict[str, Method]") -> list[Any]:
+def equal_time(methods: dict[str, Method]) -> list[Any]:
     """Image [H, W, 3] of each method in about the time of 16 samples of the last one."""
     ours = methods["divided"].rungs
     seconds = float(np.median(ours[min(4, len(ours) - 1)]["seconds"]["cpu"]))
@@ -149,7 +154,7 @@ def equal_time(methods: "dict[str, Method]") -> list[Any]:
     return images
 
 
-def equal_quality(methods: "dict[str, Method]", reading: dict[str, Any]) -> list[Any]:
+def equal_quality(methods: dict[str, Method], reading: dict[str, Any]) -> list[Any]:
     """Image [H, W, 3] of each method whose error is nearest to the paper's."""
     level, images = reading["levels"][0], []
     for name, method in methods.items():
@@ -161,7 +166,7 @@ def equal_quality(methods: "dict[str, Method]", reading: dict[str, Any]) -> list
     return images
 
 
-def sheet(methods: "dict[str, Method]", images: list[Any]) -> Any:
+def sheet(methods: dict[str, Method], images: list[Any]) -> Any:
     """The reference and an image of each method; the middle of each below."""
     reference = methods["explicit"].long.mean
     # The long run of least noise, with the same light.
@@ -272,8 +277,6 @@ def draw_ladder(found: Found) -> bool:
 
     At the paper's level where all methods reach it, else at the lowest level that most reach.
     """
-    from benchmarks.paper_tables.plots import Line, ladder
-
     lines = {}
     for lamp in LAMPS:
         values = found.values(f"5-{lamp}")
@@ -292,3 +295,65 @@ def draw_ladder(found: Found) -> bool:
     paper = {lamp: row[3] for lamp, row in PAPER.items()}
     ladder(found.image_path("ladder"), lines, list(METHODS), PARTS, paper)
     return True
+
+
+@dataclasses.dataclass(frozen=True)
+class Line:
+    """Speed-ups of one lamp.
+
+    Attributes:
+        level: of `rmse_display`.
+        speedups: by method; None where a method does not reach the level.
+        at_least: whether they are lower bounds.
+    """
+
+    level: float
+    speedups: Sequence[float | None]
+    at_least: bool
+
+
+def ladder(
+    path: Path,
+    lines: Mapping[tuple[str, str], Line],
+    methods: Sequence[str],
+    parts: Mapping[str, str],
+    paper: Mapping[str, float],
+) -> None:
+    """Speed-up over the explicit lamp by method, a line for each lamp, a panel for each part.
+
+    Args:
+        path: of the JPEG.
+        lines: by lamp and part. Lower bounds are drawn as triangles.
+        methods: names, from left to right.
+        parts: titles of the panels by name.
+        paper: the paper's speed-up of each lamp, of the first method, for the first part.
+    """
+    figure = Figure(figsize=(5 * len(parts), 4.6), layout="constrained", dpi=_DPI)
+    panels = figure.subplots(1, len(parts), sharey=True, squeeze=False)[0]
+    for panel, (part, title) in zip(panels, parts.items(), strict=True):
+        for index, lamp in enumerate(dict.fromkeys(lamp for lamp, _ in lines)):
+            line, colour = lines[lamp, part], f"C{index}"
+            known = [(x, y) for x, y in enumerate(line.speedups) if y is not None]
+            style = "^--" if line.at_least else "o-"
+            label = f"{lamp} (at {line.level:.3g}{', at least' if line.at_least else ''})"
+            if known:
+                panel.plot(*zip(*known, strict=True), style, color=colour, label=label)
+            if part == next(iter(parts)):
+                panel.plot(
+                    [_PRINTED], [paper[lamp]], "D", color=colour, markersize=5, clip_on=False
+                )
+        panel.set_xticks([_PRINTED, *range(len(methods))])
+        panel.set_xticklabels(
+            ["as printed in\nthe paper", *(_LABELS[name] for name in methods)], fontsize=8
+        )
+        panel.set(yscale="log", title=title, xlim=(_PRINTED - 0.4, len(methods) - 0.6))
+        panel.axhline(1, color="grey", linewidth=0.8)
+        panel.yaxis.set_major_formatter(FormatStrFormatter("%g"))
+        panel.grid(alpha=0.3, which="both")
+        if panel.get_legend_handles_labels()[0]:
+            panel.legend(fontsize=8)
+    panels[0].set_ylabel("speed-up over the explicit lamp at equal rmse_display")
+    stream = io.BytesIO()
+    FigureCanvasAgg(figure).print_jpg(stream, pil_kwargs={"quality": 88})
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_bytes(path, stream.getvalue())

@@ -5,8 +5,7 @@ import statistics
 from typing import Any
 
 from benchmarks.common.timing import Clock
-from benchmarks.paper_tables.cells import Cell, Measured
-from benchmarks.paper_tables.found import Found
+from benchmarks.paper_tables.cells import Cell, Found, Measured
 from benchmarks.paper_tables.scales import Scale
 from benchmarks.paper_tables.scoring import bytes_of, costs, score_asset, test_views
 from benchmarks.paper_tables.work import Built, Work
@@ -54,7 +53,7 @@ def measure(work: Work, l_max: int, method: str) -> Measured:
         asset = work.direct_asset(lamp, work.scale.direct, l_max)
     dataset = test_views(work, lamp)
     values: dict[str, Any] = {
-        "metrics": score_asset(asset, dataset).metrics,
+        "metrics": score_asset(asset.path, dataset).metrics,
         "bytes": bytes_of(asset),
         "leaves": load(asset.path).num_leaves,
         "view_seconds": view_seconds(asset, dataset),

@@ -5,8 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.paper_tables.cells import Cell, Measured
-from benchmarks.paper_tables.found import Found
+from benchmarks.paper_tables.cells import Cell, Found, Measured
 from benchmarks.paper_tables.scales import Scale
 from benchmarks.paper_tables.scoring import costs, first_views, score_network, test_views
 from benchmarks.paper_tables.work import Work
@@ -59,7 +58,7 @@ def measure(work: Work, changes: dict[str, Any]) -> Measured:
     """A training with changed settings; the errors are those of the network itself."""
     run = work.run(LAMP, dataclasses.replace(work.scale.network, **changes))
     dataset = test_views(work, LAMP)
-    scored = score_network(run, dataset)
+    scored = score_network(run.path, dataset)
     # What the mask supervises is compared with the mask as well.
     geometric = _rmse_of_masks(scored, dataset)
     values = {"metrics": scored.metrics, "opacity_rmse_geometric": geometric, "costs": costs(run)}

@@ -11,22 +11,19 @@ from benchmarks.common.tables import Table
 from benchmarks.paper_tables import (
     costs,
     equal_quality,
-    figures,
     harmonics,
     losses,
     reconstruction,
-    step,
     transmittance,
 )
-from benchmarks.paper_tables.cells import Cell, Store
-from benchmarks.paper_tables.found import Found
+from benchmarks.paper_tables.cells import Cell, Found, Store
 from benchmarks.paper_tables.scales import SCALES, Scale, ScaleName
 from lumitree.core.files import write_bytes
 
 NOTES = Path(__file__).parent / "notes"
-MODULES = (reconstruction, losses, harmonics, transmittance, equal_quality, step, figures)
+MODULES = (reconstruction, losses, harmonics, transmittance, equal_quality)
 Section = Callable[[Found], str]
-# Number of the section, its title, and what writes it; None for results of other benchmarks.
+# Number of the section, its title, and what writes it, or the name of other results.
 SECTIONS: tuple[tuple[int, str, Section | str], ...] = (
     (1, "Table 1: reconstruction", reconstruction.section),
     (2, "Table 2: terms of the loss", losses.section),
@@ -36,8 +33,6 @@ SECTIONS: tuple[tuple[int, str, Section | str], ...] = (
     (6, "Table 6: against Zhu et al. 2021", "zhu"),
     (7, "Against everything else", "representations"),
     (8, "Memory, precomputation, overhead", costs.section),
-    (0, "One training step", step.section),
-    (9, "Figures", figures.section),
 )
 _TITLES: dict[ScaleName, str] = {
     "cpu": "CPU scale",
@@ -82,13 +77,8 @@ def _at_scale(number: int, content: Section, name: ScaleName, store: Store, path
         return ""
     if name == "paper" and not records:
         return f"{_TITLES[name]}: {found.missing}.\n"
-    text = f"### {_TITLES[name]}, {title_of(number)}\n\n{content(found)}"
+    text = f"### {_TITLES[name]}, table {number}\n\n{content(found)}"
     return f"{text}\n{provenance(records)}" if own and records else text
-
-
-def title_of(number: int) -> str:
-    """Heading's end, by which headings of one page differ."""
-    return {0: "training step", 9: "figures"}.get(number, f"table {number}")
 
 
 def provenance(records: Iterable[dict[str, Any]]) -> str:
@@ -115,14 +105,14 @@ def _note(name: str) -> str:
 def _other(benchmark: str, results: Path, page: Path) -> str:
     """The first table of another benchmark's results, its pictures, and a link to them."""
     path = results / f"{benchmark}.md"
-    command = f"`python -m benchmarks {benchmark}`"
     if not path.is_file():
-        return f"Not measured yet: {command}.\n"
+        return f"No results of `{benchmark}`.\n"
     lines = path.read_text(encoding="utf-8").splitlines()
     start = next(index for index, line in enumerate(lines) if line.startswith("|"))
     end = next((i for i in range(start, len(lines)) if not lines[i].startswith("|")), len(lines))
     link = f"[its results](../benchmarks/results/{benchmark}.md)"
-    text = f"By {command}; {link}.\n\n" + "\n".join(lines[start:end]) + "\n"
+    text = f"By a program that is in git, at the commit that {link} state.\n\n"
+    text += "\n".join(lines[start:end]) + "\n"
     for picture in sorted(results.glob(f"{benchmark}*.png")):
         write_bytes(page.parent / "images" / "paper" / picture.name, picture.read_bytes())
         text += f"\n![{picture.stem}](images/paper/{picture.name})\n"

@@ -2,8 +2,7 @@
 
 from typing import Any
 
-from benchmarks.paper_tables.cells import Cell, Measured
-from benchmarks.paper_tables.found import Found
+from benchmarks.paper_tables.cells import Cell, Found, Measured
 from benchmarks.paper_tables.scales import LAMPS, Scale
 from benchmarks.paper_tables.scoring import (
     bytes_of,
@@ -65,13 +64,13 @@ def measure_network(work: Work, lamp: str) -> Measured:
     run = work.run(lamp, work.scale.network)
     asset = work.network_asset(lamp, work.scale.network)
     views, large = test_views(work, lamp), large_views(work, lamp)
-    by_network, by_octree = score_network(run, views), score_asset(asset, views)
+    by_network, by_octree = score_network(run.path, views), score_asset(asset.path, views)
     built = work.views(lamp, work.scale.train, "train"), run, asset
     values: dict[str, Any] = {
         "network": by_network.metrics,
         "octree": by_octree.metrics,
         "octree_few": of_first_views(by_octree, work.scale.large.count),
-        "octree_large": score_asset(asset, large).metrics,
+        "octree_large": score_asset(asset.path, large).metrics,
         "bytes": bytes_of(asset),
         "leaves": load(asset.path).num_leaves,
         "costs": costs(*built),
@@ -83,11 +82,11 @@ def measure_network(work: Work, lamp: str) -> Measured:
 def measure_direct(work: Work, lamp: str) -> Measured:
     """The octree fit."""
     asset = work.direct_asset(lamp, work.scale.direct)
-    scored = score_asset(asset, test_views(work, lamp))
+    scored = score_asset(asset.path, test_views(work, lamp))
     values: dict[str, Any] = {
         "direct": scored.metrics,
         "direct_few": of_first_views(scored, work.scale.large.count),
-        "direct_large": score_asset(asset, large_views(work, lamp)).metrics,
+        "direct_large": score_asset(asset.path, large_views(work, lamp)).metrics,
         "bytes": bytes_of(asset),
         "leaves": load(asset.path).num_leaves,
         "costs": costs(asset) | {"stages": asset.details["stages"]},

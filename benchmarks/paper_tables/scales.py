@@ -65,7 +65,6 @@ class Scale:
             most 1 for none.
         equal: of Table 5.
         equal_lamps: lamps of Table 5.
-        figure: width in pixels and samples a pixel of converged images.
         minutes: of training a network, of an octree fit and of capturing a lamp, for estimates.
     """
 
@@ -84,7 +83,6 @@ class Scale:
     longer: int
     equal: EqualQuality
     equal_lamps: tuple[str, ...]
-    figure: tuple[int, int]
     minutes: tuple[float, float, float]
 
 
@@ -110,7 +108,6 @@ SCALES: dict[ScaleName, Scale] = {
         longer=1,
         equal=EqualQuality(width=400, path_depth=64, seconds=7200.0),
         equal_lamps=LAMPS,
-        figure=(640, 4096),
         minutes=(1200.0, 30.0, 30.0),
     ),
     # The network of the paper with few of its steps, which take minutes on a GPU.
@@ -130,7 +127,6 @@ SCALES: dict[ScaleName, Scale] = {
         longer=1,
         equal=EqualQuality(width=200, path_depth=64, seconds=600.0),
         equal_lamps=LAMPS,
-        figure=(640, 1024),
         minutes=(4.0, 2.0, 1.0),
     ),
     # Two cores. Half as many steps are too few: on `neoclassical` the gain over black is 2.5 dB
@@ -153,7 +149,6 @@ SCALES: dict[ScaleName, Scale] = {
         longer=3,
         equal=EqualQuality(width=80, path_depth=64, seconds=600.0),
         equal_lamps=LAMPS,
-        figure=(400, 512),
         minutes=(5.0, 6.0, 3.0),
     ),
     # Seconds a cell, for the tests: structure and orders of magnitude, not figures.
@@ -181,7 +176,6 @@ SCALES: dict[ScaleName, Scale] = {
         longer=2,
         equal=EqualQuality(width=24, path_depth=6, seconds=6.0),
         equal_lamps=("neoclassical",),
-        figure=(32, 8),
         minutes=(0.1, 0.3, 0.1),
     ),
 }

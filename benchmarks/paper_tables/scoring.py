@@ -1,6 +1,7 @@
 """Errors of networks and assets on held-out views."""
 
 import dataclasses
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,19 +28,19 @@ def large_views(work: Work, lamp: str) -> Dataset:
     return Dataset.open(work.views(lamp, work.scale.large, "test").path)
 
 
-def score_asset(asset: Built, dataset: Dataset) -> "Evaluation":
+def score_asset(asset: Path, dataset: Dataset) -> "Evaluation":
     """Of the field of an asset: the renderer's exact traversal."""
     from lumitree.measure.view_errors import evaluate_views
 
-    return evaluate_views(load(asset.path), dataset)
+    return evaluate_views(load(asset), dataset)
 
 
-def score_network(run: Built, dataset: Dataset) -> "Evaluation":
+def score_network(run: Path, dataset: Dataset) -> "Evaluation":
     """Of the networks themselves, a ray through each pixel's centre, as they were trained."""
     from lumitree.fit.network.trained_field import load_field
     from lumitree.measure.view_errors import compare_views
 
-    field = load_field(run.path)
+    field = load_field(run)
     return compare_views(lambda frame: network_view(field, dataset, frame), dataset)
 
 

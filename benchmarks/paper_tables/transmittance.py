@@ -5,12 +5,15 @@ import math
 import statistics
 from typing import Any
 
-from benchmarks.paper_tables.cells import Cell, Measured
-from benchmarks.paper_tables.found import Found
+import numpy as np
+
+from benchmarks.paper_tables.cells import Cell, Found, Measured
 from benchmarks.paper_tables.scales import Scale
 from benchmarks.paper_tables.scoring import costs, score_asset, score_network, test_views
 from benchmarks.paper_tables.work import Work
+from lumitree.asset.asset import Asset
 from lumitree.asset.file import load
+from lumitree.core.device import on_device
 from lumitree.fit.network.config import TrainConfig
 
 # Title and changes of the settings; docs/decisions/field.md has the literal reading of Eq. 3.
@@ -81,17 +84,19 @@ def cells(scale: Scale) -> list[Cell]:
 def measure(work: Work, lamp: str, config: TrainConfig) -> Measured:
     """Errors of the network, and of its octree where an asset can hold it."""
     run, views = work.run(lamp, config), test_views(work, lamp)
-    values: dict[str, Any] = {"network": score_network(run, views).metrics, "costs": costs(run)}
+    values: dict[str, Any] = {
+        "network": score_network(run.path, views).metrics,
+        "costs": costs(run),
+    }
     if config.emission_weights == "decrease":
         asset = work.network_asset(lamp, config)
-        values |= {"octree": score_asset(asset, views).metrics, "costs": costs(run, asset)}
+        values |= {"octree": score_asset(asset.path, views).metrics, "costs": costs(run, asset)}
     return Measured(values)
 
 
 def measure_query(work: Work, lamp: str) -> Measured:
     """CPU nanoseconds of an emission query, the laws taking turns."""
     from benchmarks.common.timing import interleaved, kernel
-    from benchmarks.query import random_lines
     from lumitree.octree.field import Field
 
     jobs, leaves = {}, {}
@@ -103,6 +108,17 @@ def measure_query(work: Work, lamp: str) -> Measured:
     seconds = interleaved(jobs, rounds=9, clock="cpu")
     nanoseconds = {law: each / QUERY_RAYS * 1e9 for law, each in seconds.items()}
     return Measured({"nanoseconds": nanoseconds, "leaves": leaves})
+
+
+def random_lines(asset: Asset, count: int, seed: int) -> tuple[Any, Any]:
+    """Origins and directions of random lines through the proxy box."""
+    import mitsuba as mi
+
+    random = np.random.default_rng(seed)
+    d = random.normal(size=(count, 3))
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    o = random.uniform(-1, 1, (count, 3)) * asset.frame.half_extents - 3 * d
+    return on_device(mi.Point3f, o), on_device(mi.Vector3f, d)
 
 
 def section(found: Found) -> str:

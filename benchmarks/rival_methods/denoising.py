@@ -33,26 +33,13 @@ class Guides:
         return Guides(image[..., -6:-3], image[..., -3:])
 
 
-@dataclasses.dataclass(frozen=True)
-class DenoisedNoise:
-    """Noise of a denoised image.
-
-    Attributes:
-        seconds: CPU seconds of the image, without the filter's.
-        error: root of the mean squared error by noise, relative to the brightness of a pixel.
-    """
-
-    seconds: float
-    error: float
-
-
 def denoised_noise(
     run: LongRun,
     guides: Guides,
     diffuse: NDArray[np.bool_],
     scale: NDArray[np.floating],
     seconds: float,
-) -> DenoisedNoise:
+) -> dict[str, float]:
     """Noise on diffuse surfaces of denoised images that cost about so much.
 
     Two disjoint groups of images are averaged and filtered; the squared noise is half the squared
@@ -64,20 +51,32 @@ def denoised_noise(
         diffuse: [H, W] pixels that show diffuse surfaces alone.
         scale: [H, W, 3] image with little noise, by whose filtered brightness noise is divided.
         seconds: CPU seconds of a group; a group has no more than half the images.
+
+    Returns:
+        `seconds`, CPU seconds of an image without the filter's; and `error`, the root of the mean
+        squared error by noise, relative to the brightness of a pixel.
     """
     cost = run.seconds["cpu"] / len(run.batches)
     count = max(1, min(len(run.batches) // 2, round(seconds / cost)))
     groups = [run.batches[start : start + count].mean(0) for start in (0, count)]
     first, second, mean = (_grey(each, guides)[diffuse] for each in (*groups, scale))
     error = float(np.sqrt((((first - second) / mean) ** 2).mean() / 2))
-    return DenoisedNoise(count * cost, error)
+    return {"seconds": count * cost, "error": error}
 
 
 def _grey(image: NDArray[np.floating], guides: Guides) -> NDArray[np.float64]:
     """Mean of R, G and B [H, W] of the denoised image."""
+    filtered = denoised_image(image, guides.albedo, guides.normal)
+    return filtered.mean(axis=-1, dtype=np.float64)
+
+
+def denoised_image(
+    image: NDArray[np.floating], albedo: NDArray[np.float32], normal: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """An image [H, W, 3] filtered as a whole."""
     from lumitree.rendering.denoise import denoised
     from lumitree.rendering.layers import Recorded
 
     lit = np.ascontiguousarray(image, np.float32)[None]
-    recorded = Recorded(np.zeros_like(lit), lit, guides.albedo, guides.normal)
-    return denoised(recorded).lit[0].mean(axis=-1, dtype=np.float64)
+    none = np.zeros_like(lit)
+    return denoised(Recorded(none, none, lit, albedo, normal)).lit[0]

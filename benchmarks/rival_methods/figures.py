@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.equal_error.batches import LongRun
-from benchmarks.equal_error.error_against_time import (
+from benchmarks.equal_error.errors import (
+    DISPLAY_LEVELS,
     Estimate,
     Kind,
     display_exposure,
@@ -19,7 +20,6 @@ from benchmarks.equal_error.error_against_time import (
     time_to_reach,
     trimmed_mean,
 )
-from benchmarks.equal_error.readings import DISPLAY_LEVELS
 from lumitree.core.images import srgb_from_linear
 
 # Largest relative difference of the mean brightness of two renderers that agree.

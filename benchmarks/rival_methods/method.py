@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.common.timing import ClockName
-from benchmarks.equal_error.batches import MIN_BATCHES, LongRun, digest, remember
+from benchmarks.equal_error.batches import MIN_BATCHES, LongRun, digest
+from lumitree.core.files import write_json
 from lumitree.errors import LumitreeError
 
 # Longest path, segments.
@@ -76,7 +77,7 @@ def opened_run(method: Method, folder: Path, key: dict[str, Any]) -> LongRun:
     whole = {**key, **method.key, "method": method.name}
     own = folder / f"{method.name}-{digest(whole)}"
     own.mkdir(parents=True, exist_ok=True)
-    remember(own, whole)
+    write_json(own / "key.json", whole)
     return LongRun(own / "long.npz", method.name, method.first_samples)
 
 

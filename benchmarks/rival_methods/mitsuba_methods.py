@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.common.demo_lamps import placed, sphere_room
 from benchmarks.common.timing import Clock
-from benchmarks.equal_error.method import code_digest
+from benchmarks.equal_error.batches import code_digest
 from benchmarks.rival_methods.method import PATH_DEPTH, Method, TimedImage
 from benchmarks.rival_methods.room import Room
 from lumitree.core.backend import load_mitsuba
@@ -103,12 +103,6 @@ def mitsuba_methods(source: Any, asset: Any, room: Room) -> list[Method]:
         method("path", f"Mitsuba `{tracer}`", explicit, tracer),
         method("lumitree-path", "Mitsuba with `lumitree_path`", explicit, "lumitree_path"),
         method("ptracer", "Mitsuba `ptracer`", explicit, "ptracer", whole_image=False, lost=lost),
-        method(
-            "thin-glass",
-            "thin glass, `lumitree_path`",
-            lambda: hung(with_thin_glass(luminaire)),
-            "lumitree_path",
-        ),
         method("far-field", "far field, point", points(1), "lumitree_path", whole_image=False),
         method("points-16", "16 point lights", points(16), "lumitree_path", whole_image=False),
         method("points-128", "128 point lights", points(128), "lumitree_path", whole_image=False),
@@ -142,15 +136,3 @@ def point_lights_asset(asset: Any, count: int) -> Any:
     field = make_light_field(cells, intensity, _POINT_DEPTH)
     made = light_field_asset(field, asset.frame, asset.luminaire)
     return dataclasses.replace(made, gain=asset.gain)
-
-
-def with_thin_glass(luminaire: Any) -> Any:
-    """The luminaire (`Luminaire`) with a pane in place of each surface of smooth glass.
-
-    Panes do not bend light, and shadow rays cross them.
-    """
-    file = luminaire.parsed.moved(np.eye(4))
-    for node in file.nodes("BSDF"):
-        if node.props.plugin_name() == "dielectric":
-            node.props.set_plugin_name("thindielectric")
-    return dataclasses.replace(luminaire, file=file)

@@ -66,10 +66,9 @@ def test_the_whole_suite_in_minutes(network_packages, tmp_path, monkeypatch):
     for parts in (equal["parts"][name] for name in ("explicit", "divided")):
         assert set(parts) == {"whole", "beside"}
     assert all(0 < pace < 100 for pace in equal["seconds_per_sample"].values())
-    assert 0 < values["step"]["of this scale"]["flops_per_second"] < 1e15
 
     text = (tmp_path / "docs" / "paper.md").read_text()
-    assert text.count("Measured by") == 7
+    assert text.count("Measured by") == 5
     for path in (tmp_path / "docs" / "images" / "paper").iterdir():
         assert np.ptp(np.array(Image.open(path))) > 50
     # The same command again measures nothing.

@@ -1,17 +1,13 @@
 """Illuminance of photometric files in rooms: lumitree against Radiance."""
 
 import importlib.util
-import json
 
 import numpy as np
 import pytest
 
 import lumitree
-from benchmarks import radiance
-from benchmarks.__main__ import main
 from benchmarks.radiance_rooms.program import Radiance
 from benchmarks.radiance_rooms.rooms import furniture, mitsuba_scene, radiance_text, walls
-from lumitree.errors import LumitreeError
 from support.ies_text import ies_text
 
 needs_radiance = pytest.mark.skipif(
@@ -80,48 +76,3 @@ def test_the_illuminance_in_a_furnished_room_is_that_of_radiance(mi, tmp_path, k
     boxes = walls(0.3, 0.5, 0.7) + furniture()
     ours, theirs = both(tmp_path, kind, boxes, 24, 0.004, divisions=512, repeats=12)
     agree(ours.total, ours.total_error, theirs)
-
-
-def test_figures_of_points():
-    baseline, error = np.array([100.0, 100.0, 200.0, 1.0]), np.array([1.0, 1.0, 2.0, 1.0])
-    found = radiance.compared(baseline * [1.1, 0.9, 1.0, 3.0], error, baseline, 0 * error)
-    assert (found["points"], found["compared"]) == (4, 3)
-    assert found["ratio"] == pytest.approx(403 / 401)
-    assert found["ratio_error"] == pytest.approx(np.sqrt(7) / 401)
-    # Differences are 10, -10, 0 and 2 of a mean of 100.25; the noise is 1, 1, 2 and 1.
-    assert found["rms_of_mean"] == pytest.approx(np.sqrt((204 - 7) / 4) / 100.25)
-    assert found["rms"] == pytest.approx(np.sqrt(0.02 / 3 - 1e-4))
-    assert found["noise"] == pytest.approx(0.01)
-    assert abs(found["worst"]) == pytest.approx(0.1)
-    assert found["worst_error"] == pytest.approx(0.01)
-
-
-def test_a_grid_has_rows_and_columns():
-    columns, rows = (round(side / radiance.SPACING) for side in radiance.EXTENT)
-    assert radiance.on_grid(list(range(columns * rows))).shape == (rows, columns)
-
-
-@needs_radiance
-@pytest.mark.slow
-def test_the_benchmark_from_end_to_end(mi, tmp_path, monkeypatch):
-    monkeypatch.setattr(radiance, "SPACING", 1.3)
-    monkeypatch.setattr(radiance, "EXTENT", (2.6, 2.6))
-    options = ["--repeats", "4", "--error", "0.02", "-o", str(tmp_path)]
-    assert main(["radiance", "spot, black room", "panel, furnished room", *options]) == 0
-    report = json.loads((tmp_path / "radiance.json").read_text())
-    assert [row["quantity"] for row in report["rows"]] == ["direct", "direct", "total"]
-    assert all(abs(row["ratio"] - 1) < 0.1 for row in report["rows"])
-    assert report["setting"]["radiance"].startswith("RADIANCE")
-    assert (tmp_path / "radiance.png").stat().st_size > 10_000
-    assert "spot, black room" in (tmp_path / "radiance.md").read_text()
-
-
-def test_a_case_that_there_is_not_is_one_line():
-    with pytest.raises(LumitreeError, match="there is no case 'none'; expected one of"):
-        radiance.chosen(["none"])
-
-
-def test_without_radiance_the_error_says_what_to_install(tmp_path, monkeypatch):
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(LumitreeError, match=r"pip install 'lumitree\[radiance\]'"):
-        Radiance(tmp_path)

@@ -1,8 +1,5 @@
 """Tasks on the workers of a Dask scheduler."""
 
-import os
-import signal
-
 import pytest
 
 from lumitree.core.dask_executor import dask_executor
@@ -77,20 +74,3 @@ def test_no_scheduler_and_no_workers_are_one_line():
         dask_executor(cluster.scheduler_address),
     ):
         pass
-
-
-@pytest.mark.slow
-def test_a_task_that_kills_its_workers_is_one_line():
-    """After Dask has tried it again."""
-    message = r"^a worker ended unexpectedly.*; 0 of 1 numbers are finished; the same command"
-    with (
-        distributed.LocalCluster(
-            n_workers=1, threads_per_worker=1, processes=True, dashboard_address=":0"
-        ) as cluster,
-        dask_executor(cluster.scheduler_address) as executor,
-    ):
-        with pytest.raises(LumitreeError, match=message):
-            results(executor, executors.kill_itself, [2], total=1)
-        # One worker that is lost is only begun again.
-        os.kill(results(executor, executors.pid, [1])[0][1], signal.SIGKILL)
-        assert results(executor, executors.double, range(3), in_order=True)[-1] == (2, 4)

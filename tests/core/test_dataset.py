@@ -37,26 +37,6 @@ def test_what_is_saved_opens_again(manifest, tmp_path):
     assert Dataset.open(tmp_path).manifest == manifest
 
 
-def test_keys_of_the_file_are_those_of_its_format(manifest, tmp_path):
-    Dataset(tmp_path, manifest).save_manifest()
-    data = json.loads((tmp_path / MANIFEST).read_text())
-    assert list(data) == [
-        "luminaire",
-        "fingerprint",
-        "split",
-        "resolution",
-        "samples_per_pixel",
-        "path_depth",
-        "half_width",
-        "half_extents",
-        "world_from_proxy",
-        "frames",
-        "version",
-    ]
-    assert list(data["frames"][0]) == ["file", "halton_index", "proxy_from_camera"]
-    assert data["world_from_proxy"] == manifest.local_frame.world_from_local.tolist()
-
-
 def test_names_of_any_characters_are_kept_readable(manifest, tmp_path):
     named = dataclasses.replace(manifest, luminaire="a\nb\x1b/" + 2000 * "x")
     Dataset(tmp_path, named).save_manifest()
@@ -92,23 +72,15 @@ def change(*path, to):
         (change("luminaire", to='"\\u001b[2J"'), "luminaire of the manifest"),
         (change("resolution", to="1e9"), "resolution of the manifest"),
         (change("resolution", to="1000000"), "expected 1 to 16384"),
-        (change("resolution", to="true"), "resolution of the manifest"),
-        (change("half_width", to="1e400"), "half_width of the manifest"),
         (change("half_width", to="1e300"), "half_width is 1e+300"),
-        (change("half_width", to="1" + 400 * "0"), "half_width of the manifest"),
         (change("half_extents", 0, to="2"), "the longest 1"),
         (change("half_extents", 2, to="1e-300"), "expected 3 lengths of 0.001 or more"),
-        (change("half_extents", to='"111"'), "expected 3 numbers"),
         (change("world_from_proxy", 0, 3, to="1e39"), "4 x 4 numbers of at most 1e+12"),
         (change("world_from_proxy", 0, 0, to="-2"), "mirrors"),
         (change("frames", to="[]"), "at least one view"),
         (change("frames", to="7"), "expected a list"),
-        (change("frames", 0, to="7"), "expected a JSON object"),
         (change("frames", 0, "file", to='"view_2.exr"'), "a file for each"),
         (change("frames", 0, "file", to='"../x.exr"'), "outside the dataset's folder"),
-        (change("frames", 0, "file", to='".."'), "outside the dataset's folder"),
-        (change("frames", 0, "file", to='""'), "outside the dataset's folder"),
-        (change("frames", 0, "file", to=f'"../{900 * "x"}"'), "outside the dataset's folder"),
         (change("frames", 0, "file", to=f'"{200 * "é"}"'), "too long a name"),
         (change("frames", 0, "halton_index", to="1.5"), "expected an integer"),
         (change("frames", 0, "proxy_from_camera", 0, 0, to="1e300"), "pose of view_1.exr"),

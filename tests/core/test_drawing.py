@@ -1,7 +1,6 @@
 """Grids of images, and files of figures."""
 
 import io
-import sys
 
 import matplotlib as mpl
 import numpy as np
@@ -38,12 +37,6 @@ def test_images_are_shown_pixel_by_pixel_in_their_places(shape):
         assert (tile_pixels(sheet, index) == tile.image[2:-2, 2:-2]).all()
 
 
-def test_larger_and_smaller_images_keep_their_proportions():
-    for shape in ((20, 40), (600, 300), (1, 1)):
-        box = image_grid(images(*shape), 120).axes[0].get_window_extent()
-        assert (box.width, box.height) == pytest.approx((120, 120 * shape[0] / shape[1]))
-
-
 def test_text_is_taken_literally_in_any_script():
     rows = [[Tile(np.zeros((4, 4, 3)), r"a$b_{")]]
     sheet = image_grid(rows, 40, title=r"lamp $\frac{ 100%", subtitle="$x{")
@@ -59,13 +52,6 @@ def test_same_figure_gives_same_bytes_whatever_the_users_settings():
         assert image_grid(images(8, 8), 40, title="title").png("settings") == first
     with Image.open(io.BytesIO(first)) as image:
         assert image.text == {"Comment": "settings"}
-
-
-def test_leaves_pyplot_alone():
-    if "matplotlib.pyplot" in sys.modules:
-        pytest.skip("another test has loaded pyplot")
-    image_grid(images(8, 8), 40).png()
-    assert "matplotlib.pyplot" not in sys.modules
 
 
 @pytest.mark.parametrize(

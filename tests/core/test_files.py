@@ -15,28 +15,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lumitree.asset.file import save
-from lumitree.core import files
 from lumitree.core.files import (
     WriteError,
     atomic_path,
     check_room,
     check_writable,
     exclusive,
-    is_empty,
     write_json,
 )
-from lumitree.core.images import check_image_name, read_exr, tonemap, write_exr
+from lumitree.core.images import check_image_name, read_exr, write_exr
 from lumitree.core.mitsuba_meshes import make_mesh
 from lumitree.core.reading import read_bytes
-from lumitree.core.work_folder import (
-    atomic_files,
-    atomic_folder,
-    check_new_folder,
-    scratch_folder,
-)
+from lumitree.core.work_folder import atomic_files, check_new_folder, scratch_folder
 from lumitree.errors import LumitreeError
-from support.fields import random_asset
 
 
 def test_failure_leaves_nothing_behind(tmp_path):
@@ -70,16 +61,6 @@ def test_links_are_followed(tmp_path, folder, exists):
     assert all(link.is_symlink() for link in links)
     assert not target.is_symlink()
     assert len([each for each in tmp_path.rglob("*") if each.is_file()]) == 3
-
-
-def test_a_link_to_a_folder_is_followed(tmp_path):
-    link = tmp_path / "link"
-    link.symlink_to("folder")
-    check_new_folder(link)
-    with atomic_folder(link) as files:
-        (files / "a").write_text("x")
-    assert link.is_symlink()
-    assert os.listdir(tmp_path / "folder") == ["a"]
 
 
 def test_what_is_no_file_is_refused(tmp_path):
@@ -130,8 +111,7 @@ def test_a_device_is_written_to():
     os.close(end)
 
 
-@pytest.mark.parametrize("stream", ["stdout", "stderr"])
-@pytest.mark.parametrize("redirected", [True, False])
+@pytest.mark.parametrize(("stream", "redirected"), [("stdout", True), ("stderr", False)])
 def test_standard_output_is_written_to(tmp_path, stream, redirected):
     """Behind what was printed before, also where it is redirected to a file."""
     link, found = tmp_path / "link.json", tmp_path / "found"
@@ -156,21 +136,6 @@ def test_standard_output_is_written_to(tmp_path, stream, redirected):
     assert content.split() == [b"before", *[b"{}"] * len(names), b"after"]
     assert sorted(each.name for each in tmp_path.iterdir()) == ["found", "link.json"]
     assert link.is_symlink()
-
-
-def test_full_disk_is_one_line(tmp_path):
-    with (
-        pytest.raises(LumitreeError, match=r"cannot write .*: No space left on device; free"),
-        atomic_path(tmp_path / "a.txt"),
-    ):
-        raise OSError(28, os.strerror(28))
-    assert os.listdir(tmp_path) == []
-
-
-def test_unwritable_folder(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(LumitreeError, match="cannot write"):
-        write_json(tmp_path / "file" / "a.json", {})
 
 
 def test_json_refuses_nan(tmp_path):
@@ -201,10 +166,6 @@ def test_bad_exr_files_are_refused(tmp_path):
     write_exr(tmp_path / "nan.exr", {"RGB": np.full((2, 2, 3), np.nan, np.float32)})
     with pytest.raises(LumitreeError, match="NaN"):
         read_exr(tmp_path / "nan.exr")
-
-
-def test_tonemap_is_srgb():
-    assert tonemap(np.array([0.0, 0.5, 1.0, 2.0])).tolist() == [0, 188, 255, 255]
 
 
 def test_image_names():
@@ -245,33 +206,6 @@ def test_what_a_killed_process_left_is_removed(tmp_path):
             process.communicate()
 
 
-def test_a_file_that_another_process_takes_for_abandoned_is_made_again(tmp_path, monkeypatch):
-    """Another process may look between the making of a temporary file and its locking."""
-    make, target = tempfile.mkstemp, tmp_path / "a.txt"
-    made = []
-
-    def make_and_be_seen(**options):
-        made.append(make(**options))
-        if len(made) == 1:
-            files._remove_abandoned(target)
-        return made[-1]
-
-    monkeypatch.setattr(tempfile, "mkstemp", make_and_be_seen)
-    with files.atomic_path(target) as temporary:
-        temporary.write_text("whole")
-    assert len(made) == 2
-    assert target.read_text() == "whole"
-    assert list(tmp_path.iterdir()) == [target]
-
-
-def test_only_temporary_files_count_as_nothing(tmp_path):
-    assert is_empty(tmp_path)
-    (tmp_path / ".run.lumitree-a1b2c3_d.json").write_text("")
-    assert is_empty(tmp_path)
-    (tmp_path / ".a.lumitree-notes.txt").write_text("mine")
-    assert not is_empty(tmp_path)
-
-
 def test_outputs_that_cannot_be_written_are_refused_before(tmp_path):
     (tmp_path / "file").write_text("")
     for name, message in (
@@ -286,18 +220,6 @@ def test_outputs_that_cannot_be_written_are_refused_before(tmp_path):
     check_writable(tmp_path / "new" / "a.txt")
     check_writable(tmp_path / "file")
     assert os.listdir(tmp_path) == ["file"]
-
-
-def test_a_full_disk_is_told_alike_by_mitsuba(mi, tmp_path):
-    """Its streams raise RuntimeError with a line of its own."""
-    mesh = make_mesh("many", {"vertices": np.zeros((100_000, 3)), "faces": [[0, 1, 2]]})
-    with (
-        largest_file(100),
-        pytest.raises(WriteError, match=r"cannot write .*/a.ply: File too large; free"),
-        atomic_path(tmp_path / "a.ply") as temporary,
-    ):
-        mesh.write_ply(str(temporary))
-    assert os.listdir(tmp_path) == []
 
 
 def test_small_files_are_not_lost_silently(mi, tmp_path):
@@ -344,23 +266,6 @@ def test_all_libraries_messages_of_a_full_disk_become_one(tmp_path, error):
     assert raised.value.full
 
 
-def test_other_errors_pass(tmp_path):
-    for error in (RuntimeError("no"), ValueError("no"), LumitreeError("no")):
-        with pytest.raises(type(error), match=r"^no$"), atomic_path(tmp_path / "a.txt"):
-            raise error
-
-
-def test_temporary_files_are_not_named(tmp_path, monkeypatch):
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    message = f"cannot write temporary files in {tmp_path}: File too large; free some space or name"
-    with (
-        scratch_folder() as folder,
-        largest_file(1000),
-        pytest.raises(WriteError, match=message + " another folder with TMPDIR"),
-    ):
-        write_json(folder / "meshes" / "a.json", list(range(1000)))
-
-
 def test_room_is_checked_before(tmp_path):
     check_room(tmp_path / "new", 1 << 20)
     with largest_file(1000), pytest.raises(WriteError, match="File too large; free some space"):
@@ -382,55 +287,12 @@ def test_one_process_at_a_time_holds_a_name(tmp_path):
     assert not path.exists()
 
 
-def test_a_name_is_waited_for(tmp_path):
-    path = tmp_path / "a.lock"
-    code = (
-        "import sys\n"
-        "from pathlib import Path\n"
-        "from lumitree.core.files import exclusive\n"
-        "with exclusive(Path(sys.argv[1])) as held:\n"
-        "    print(held, flush=True)\n"
-        "    sys.stdin.readline()\n"
-    )
-    process = subprocess.Popen(
-        [sys.executable, "-c", code, path], stdin=subprocess.PIPE, stdout=subprocess.PIPE
-    )
-    assert process.stdout.readline() == b"True\n"
-    process.stdin.write(b"\n")
-    process.stdin.flush()
-    with exclusive(path, wait=True) as held:
-        assert held
-    process.communicate()
-
-
-def test_a_large_folder_is_not_listed_for_every_file(tmp_path, monkeypatch):
-    """Else the time to write so many files would grow with the square of their number."""
-    listed = []
-    iterdir = Path.iterdir
-
-    def noted(path):
-        listed.append(path)
-        return iterdir(path)
-
-    monkeypatch.setattr(Path, "iterdir", noted)
-    monkeypatch.setattr(files, "_LARGE_FOLDER", 5)
-    for number in range(20):
-        write_json(tmp_path / f"{number}.json", {})
-    assert len(listed) == 7
-    monkeypatch.setattr(files, "_listed_again", {})
-    write_json(tmp_path / "20.json", {})
-    assert len(listed) == 8
-
-
-def test_an_asset_is_written_into_the_locked_temporary_file(tmp_path, monkeypatch):
-    """Another file would be left by a process that is killed, or be taken for abandoned."""
-    create, inodes = files._create_locked, []
-
-    def note(path):
-        handle, temporary = create(path)
-        inodes.append(os.fstat(handle).st_ino)
-        return handle, temporary
-
-    monkeypatch.setattr(files, "_create_locked", note)
-    save(random_asset(0), tmp_path / "a.lumitree")
-    assert inodes == [(tmp_path / "a.lumitree").stat().st_ino]
+def test_temporary_files_are_not_named(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    message = f"cannot write temporary files in {tmp_path}: File too large; free some space or name"
+    with (
+        scratch_folder() as folder,
+        largest_file(1000),
+        pytest.raises(WriteError, match=message + " another folder with TMPDIR"),
+    ):
+        write_json(folder / "meshes" / "a.json", list(range(1000)))

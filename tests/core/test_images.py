@@ -13,8 +13,6 @@ from lumitree.core.images import (
 from lumitree.errors import LumitreeError
 from support.damage import damaged, refused
 
-ROUNDS = 150
-
 
 @pytest.mark.parametrize(
     ("linear", "encoded"),
@@ -57,6 +55,28 @@ def layers(tmp_path):
     return path, path.read_bytes()
 
 
+def test_sides_without_pixels_reserve_no_memory(layers):
+    path, good = layers
+    # xMax and yMax of the data window: 6 and 4.
+    window = good.index(b"dataWindow\0box2i\0") + len(b"dataWindow\0box2i\0") + 4 + 8
+    assert good[window : window + 8] == (6).to_bytes(4, "little") + (4).to_bytes(4, "little")
+    path.write_bytes(good[:window] + 2 * (2**20).to_bytes(4, "little") + good[window + 8 :])
+    with pytest.raises(LumitreeError, match="1048577 x 1048577 pixels; expected"):
+        read_exr(path)
+
+
+def test_channels_count_before_they_are_read(layers, monkeypatch):
+    path, _ = layers
+    monkeypatch.setattr("lumitree.core.images._MAX_VALUES", 5 * 7 * 6)
+    assert len(read_exr(path)) == 2
+    monkeypatch.setattr("lumitree.core.images._MAX_VALUES", 5 * 7 * 6 - 1)
+    with pytest.raises(LumitreeError, match="6 channels of 7 x 5 pixels; expected at most 209"):
+        read_exr(path)
+
+
+ROUNDS = 150
+
+
 def test_damaged_exr_files_are_refused_or_read(layers):
     path, good = layers
     rng, outcomes = np.random.default_rng(0), set()
@@ -75,22 +95,3 @@ def test_damaged_exr_files_are_refused_or_read(layers):
         path.write_bytes(data if round_ % 3 else damaged(good, rng))
         outcomes.add(refused(check))
     assert outcomes == {True, False}
-
-
-def test_sides_without_pixels_reserve_no_memory(layers):
-    path, good = layers
-    # xMax and yMax of the data window: 6 and 4.
-    window = good.index(b"dataWindow\0box2i\0") + len(b"dataWindow\0box2i\0") + 4 + 8
-    assert good[window : window + 8] == (6).to_bytes(4, "little") + (4).to_bytes(4, "little")
-    path.write_bytes(good[:window] + 2 * (2**20).to_bytes(4, "little") + good[window + 8 :])
-    with pytest.raises(LumitreeError, match="1048577 x 1048577 pixels; expected"):
-        read_exr(path)
-
-
-def test_channels_count_before_they_are_read(layers, monkeypatch):
-    path, _ = layers
-    monkeypatch.setattr("lumitree.core.images._MAX_VALUES", 5 * 7 * 6)
-    assert len(read_exr(path)) == 2
-    monkeypatch.setattr("lumitree.core.images._MAX_VALUES", 5 * 7 * 6 - 1)
-    with pytest.raises(LumitreeError, match="6 channels of 7 x 5 pixels; expected at most 209"):
-        read_exr(path)

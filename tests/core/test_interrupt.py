@@ -1,12 +1,9 @@
 """Signals that ask a job to stop."""
 
 import contextlib
-import os
-import pty
 import signal
 import subprocess
 import sys
-import textwrap
 import time
 
 import pytest
@@ -84,16 +81,6 @@ def test_a_signal_in_an_import_is_raised_after_it(tmp_path, monkeypatch):
     assert raised.value.number == signal.SIGTERM
 
 
-def test_a_second_signal_does_not_wait_for_an_import(tmp_path, monkeypatch):
-    (tmp_path / "slower_module.py").write_text(
-        "import signal\n" + 2 * "signal.raise_signal(signal.SIGTERM)\n" + "complete = True\n"
-    )
-    monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(Interrupted), interruptible():
-        import slower_module  # pyright: ignore[reportMissingImports]  # noqa: F401
-    assert "slower_module" not in sys.modules
-
-
 def test_a_signal_that_a_library_catches_is_raised_again():
     def catch_all():
         try:
@@ -131,51 +118,6 @@ def test_a_signal_that_a_library_turns_into_its_own_error_is_a_signal():
         raise RuntimeError("no signal")
 
 
-def test_what_cleans_up_is_not_interrupted_again():
-    reached = []
-
-    def work():
-        with interruptible():
-            try:
-                signal.raise_signal(signal.SIGINT)
-            finally:
-                time.sleep(0.1)
-                reached.append("clean")
-
-    with pytest.raises(Interrupted):
-        work()
-    assert reached == ["clean"]
-
-
-def test_work_in_an_except_is_interrupted_like_other_work():
-    def work():
-        try:
-            raise ValueError
-        except ValueError:
-            with interruptible():
-                with pytest.raises(Interrupted):
-                    signal.raise_signal(signal.SIGINT)
-                time.sleep(LONG)
-
-    with pytest.raises(Interrupted):
-        work()
-
-
-def test_a_caught_signal_is_raised_before_signals_are_deferred():
-    reached = []
-
-    def work():
-        with interruptible():
-            with pytest.raises(Interrupted):
-                signal.raise_signal(signal.SIGINT)
-            with deferred_interrupt():
-                reached.append("deferred")
-
-    with pytest.raises(Interrupted):
-        work()
-    assert reached == []
-
-
 def test_completed_work_ends_as_without_a_signal(monkeypatch):
     """But work around it is interrupted."""
     before = signal.getsignal(signal.SIGALRM)
@@ -197,25 +139,6 @@ def test_completed_work_ends_as_without_a_signal(monkeypatch):
     assert raised.value.number == signal.SIGTERM
     assert signal.getsignal(signal.SIGALRM) is before
     assert signal.getitimer(signal.ITIMER_REAL) == (0, 0)
-
-
-def test_a_block_within_another_ends_by_the_signal_of_that():
-    """The signal came before, and was caught."""
-    reached = []
-
-    def work():
-        with interruptible():
-            with contextlib.suppress(KeyboardInterrupt):
-                signal.raise_signal(signal.SIGTERM)
-            with contextlib.suppress(KeyboardInterrupt), interruptible():
-                time.sleep(LONG)
-            # It has been heeded, so what follows is not interrupted again.
-            with deferred_interrupt():
-                time.sleep(0.1)
-                reached.append("end")
-
-    work()
-    assert reached == ["end"]
 
 
 PROGRAM = "import sys, signal; sys.argv[:] = ['lumitree', '--version']; import lumitree\n"
@@ -241,31 +164,3 @@ def test_other_programs_keep_their_handlers():
     code = "import signal, lumitree; print(signal.getsignal(signal.SIGTERM) is signal.SIG_DFL)"
     process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert process.stdout == "True\n"
-
-
-def test_output_goes_nowhere_once_the_terminal_has_gone(tmp_path):
-    """As when a remote session is cut: the work is finished, and no line of it fails."""
-    code = """
-        import sys
-        from pathlib import Path
-        from lumitree.core.interrupt import deferred_interrupt
-        with deferred_interrupt() as stop:
-            print("ready", flush=True)
-            while not stop:
-                pass
-        print("saved", flush=True)
-        print("saved", file=sys.stderr, flush=True)
-        Path(sys.argv[1]).write_text("saved")
-    """
-    primary, secondary = pty.openpty()
-    done = tmp_path / "done"
-    process = subprocess.Popen(
-        [sys.executable, "-c", textwrap.dedent(code), str(done)],
-        stdin=secondary, stdout=secondary, stderr=secondary, start_new_session=True,
-        preexec_fn=lambda: __import__("fcntl").ioctl(0, __import__("termios").TIOCSCTTY, 0),
-    )  # fmt: skip
-    os.close(secondary)
-    assert b"ready" in os.read(primary, 100)
-    os.close(primary)
-    assert process.wait(timeout=60) == 0
-    assert done.read_text() == "saved"

@@ -45,25 +45,6 @@ def test_directions_in_a_bin_are_found_in_it(mi, resolution, bevelled):
     assert np.array(density).min() > 0
 
 
-@pytest.mark.parametrize("resolution", RESOLUTIONS)
-def test_borders_have_a_bin(mi, resolution):
-    """Samples of 0 and 1 are in their bin or in one that touches it."""
-    from lumitree.core.octahedral import bin_of, direction_in_bin
-
-    bins = np.arange(resolution**2)
-    index = on_device(mi.UInt32, bins)
-    at = np.array(direction_in_bin(index, mi.Point2f(0.5), resolution)[0])
-    for x in (0, 1):
-        for y in (0, 1):
-            direction, density = direction_in_bin(index, mi.Point2f(x, y), resolution)
-            found = np.array(bin_of(direction, resolution))
-            assert found.max() < resolution**2
-            assert not np.isnan(np.array(density)).any()
-            assert np.isfinite(np.array(direction)).all()
-            # Bins that touch at a corner: their centres are at most two diagonals apart.
-            assert (at * at[:, found]).sum(axis=0).min() > np.cos(2 * np.pi / resolution * 1.5)
-
-
 def test_axes(mi):
     """The poles are in the middle and in the corners; ±x and ±y are in the middle of the sides."""
     from lumitree.core.octahedral import bin_of, octahedral
@@ -93,16 +74,6 @@ def test_densities_integrate_to_one(mi, resolution):
     scores = (found - 1) / error
     assert np.abs(scores).max() < 5.5
     assert scores.std() == pytest.approx(1, abs=5 / np.sqrt(2) / resolution)
-
-
-def test_without_bevels_directions_have_the_density_of_the_octahedron(mi):
-    from lumitree.core.octahedral import bin_density, direction_in_bin
-
-    random = np.random.default_rng(0)
-    index = on_device(mi.UInt32, random.integers(0, 64, 1000))
-    sample = on_device(mi.Point2f, random.random((1000, 2)))
-    direction, density = direction_in_bin(index, sample, 8, bevelled=False)
-    np.testing.assert_allclose(density, bin_density(direction, 8), rtol=1e-5)
 
 
 @pytest.mark.parametrize("resolution", RESOLUTIONS)
@@ -240,18 +211,6 @@ def test_bilinear_weights_are_the_chances_of_random_offsets(mi, resolution):
         want = np.bincount(bins[row], weights[row], resolution**2) * count
         # Five standard errors, and rounding on the border of a bin.
         assert (np.abs(have - want) < 5 * np.sqrt(want) + 5).all()
-
-
-@pytest.mark.parametrize("resolution", RESOLUTIONS)
-def test_interpolated_intensities_have_the_flux_of_the_bins(resolution):
-    values = np.random.default_rng(1).exponential(size=resolution**2)
-    index = np.arange(1 << 18) + 0.5
-    height, angle = 1 - 2 * index / len(index), np.pi * (1 + 5**0.5) * index
-    flat = np.sqrt(1 - height**2)
-    lattice = np.stack([flat * np.cos(angle), flat * np.sin(angle), height], axis=-1)
-    bins, weights = bilinear_bins(lattice, resolution)
-    flux = 4 * np.pi * (values[bins] * weights).sum(axis=1).mean()
-    assert flux == pytest.approx(values @ solid_angles(resolution), rel=2e-3)
 
 
 def test_a_border_of_the_map_is_what_is_beyond_its_sides():

@@ -47,29 +47,7 @@ def test_streams_that_are_closed_or_full_end_no_command(tmp_path, closed):
     assert (tmp_path / "a").read_text() == "done"
 
 
-def test_nobody_has_to_read_standard_error():
-    code = (
-        "import sys\n"
-        "from lumitree.core.program import open_streams\n"
-        "open_streams()\n"
-        "sys.stdin.readline()\n"
-        "print('a message', file=sys.stderr)\n"
-        "print('done')\n"
-    )
-    process = subprocess.Popen(
-        [sys.executable, "-c", code],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-    )
-    process.stderr.close()
-    process.stderr = None
-    assert process.communicate(b"\n") == (b"done\n", None)
-    assert process.returncode == 0
-
-
-@pytest.mark.parametrize("closed", [">&-", ">&- 2>&-"])
-def test_commands_end_well_without_standard_output(tmp_path, closed):
+def test_commands_end_well_without_standard_output(tmp_path):
     command = shlex.join([sys.executable, "-m", "lumitree", "list", "--json", "a.json"])
-    subprocess.run(["sh", "-c", f"{command} {closed}"], check=True, cwd=tmp_path)
+    subprocess.run(["sh", "-c", f"{command} >&- 2>&-"], check=True, cwd=tmp_path)
     assert "dallas" in (tmp_path / "a.json").read_text()

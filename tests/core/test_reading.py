@@ -45,31 +45,15 @@ def test_what_is_no_file_is_refused(tmp_path):
             assert message in refusal(read_bytes, path, "a thing", 5)
 
 
-def test_a_file_without_permission_is_refused(tmp_path, monkeypatch):
-    (tmp_path / "a").write_bytes(b"abc")
-
-    def refuse(self, mode):
-        raise PermissionError(13, "Permission denied")
-
-    monkeypatch.setattr(Path, "open", refuse)
-    assert "Permission denied; expected a thing" in refusal(
-        read_bytes, tmp_path / "a", "a thing", 5
-    )
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "not valid JSON"),
         ("{", "not valid JSON"),
         (b"\xff\xfe{}", "not valid JSON"),
         ('{"a": 1, "a": 2}', "two members of one name"),
-        ('{"b": [{"a": 1, "a": 1}]}', "two members of one name"),
         ("NaN", "holds NaN"),
-        ("[-Infinity]", "holds -Infinity"),
         ("[" * 100_000, "too deep"),
         ('{"a":' * 100_000 + "1" + "}" * 100_000, "too deep"),
-        ("1" + 5000 * "0", "not valid JSON"),
     ],
 )
 def test_bad_json_is_refused(text, message):

@@ -19,12 +19,8 @@ def read(folder, text):
     [
         f"{DEEP} = 1",
         f"[{DEEP}]",
-        f"[[{DEEP}]]",
-        f"x = {{ {DEEP} = 1 }}",
         f"x = [{{ {DEEP} = 1 }}]",
         DEEP.replace(".", " . ") + " = 1",
-        ".".join(['"?, ="'] * 11) + " = 1",
-        ".".join(["''"] * 11) + " = 1",
         f'x = """a"""" \n{DEEP} = 1\ny = ""',
         f'x = {{ y = """a"""", {DEEP} = 1, z = "" }}',
         f"x = {{ y = '''a'''', {DEEP} = 1, z = '' }}",

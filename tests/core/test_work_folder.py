@@ -99,39 +99,10 @@ def test_files_of_a_desktop_do_not_count(tmp_path):
     assert not (tmp_path / "work").exists()
 
 
-def test_links_are_removed_not_followed(tmp_path):
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "precious.txt").write_text("mine")
-    with WorkFolder(tmp_path / "w") as work:
-        (work.path / "run" / "checkpoints").mkdir(parents=True)
-        (work.path / "run" / "checkpoints" / "10").symlink_to(tmp_path / "mine")
-        work.remove(NAMES)
-    assert os.listdir(tmp_path / "mine") == ["precious.txt"]
-
-
 def test_a_file_is_no_folder(tmp_path):
     (tmp_path / "w").write_text("mine")
     with pytest.raises(LumitreeError, match="cannot write the work folder"):
         WorkFolder(tmp_path / "w")
-
-
-def test_a_folder_that_vanishes_is_no_obstacle(tmp_path):
-    """Someone removes it while a process works in it."""
-    with WorkFolder(tmp_path / "w") as work:
-        shutil.rmtree(work.path)
-        assert work.is_empty
-        work.remove(NAMES)
-    assert os.listdir(tmp_path) == []
-    with WorkFolder(tmp_path / "w") as work:
-        shutil.rmtree(work.path)
-        fill(work.path)
-    # It can be continued.
-    with WorkFolder(tmp_path / "w") as work:
-        assert not work.is_empty
-        shutil.rmtree(work.path)
-        fill(work.path)
-        work.remove(NAMES)
-    assert os.listdir(tmp_path) == []
 
 
 def test_a_full_disk_leaves_no_marker(tmp_path, monkeypatch):
@@ -145,51 +116,9 @@ def test_a_full_disk_leaves_no_marker(tmp_path, monkeypatch):
     assert os.listdir(tmp_path) == []
 
 
-def test_a_folder_is_removed_while_it_is_held(tmp_path, monkeypatch):
-    """Else a process that begins there at that moment would lose its marker."""
-    seen = []
-
-    def noted(path):
-        with pytest.raises(BusyFolderError):
-            WorkFolder(path.parent)
-        seen.append(path)
-        path.unlink()
-
-    monkeypatch.setattr(work_folder, "remove", noted)
-    with WorkFolder(tmp_path / "work"):
-        pass
-    assert seen == [tmp_path / "work" / MARKER]
-    assert not (tmp_path / "work").exists()
-
-
 def test_one_process_at_a_time(tmp_path):
     with WorkFolder(tmp_path / "w"), pytest.raises(LumitreeError, match="another process works"):
         WorkFolder(tmp_path / "w")
-
-
-def removed_before(function, path, monkeypatch):
-    """Let another process remove a path just before the first call of a function."""
-    original = getattr(work_folder, function)
-
-    def remove_and_call(*args, **kwargs):
-        monkeypatch.undo()
-        shutil.rmtree(path, ignore_errors=True)
-        return original(*args, **kwargs)
-
-    monkeypatch.setattr(work_folder, function, remove_and_call)
-
-
-def test_a_folder_that_its_owner_removes_meanwhile_is_made_again(tmp_path, monkeypatch):
-    removed_before("lock", tmp_path / "w", monkeypatch)
-    with WorkFolder(tmp_path / "w"):
-        assert (tmp_path / "w" / MARKER).exists()
-        with pytest.raises(BusyFolderError):
-            WorkFolder(tmp_path / "w")
-    removed_before("lock", tmp_path / "w", monkeypatch)
-    with alone_in(tmp_path / "w"):
-        assert (tmp_path / "w").is_dir()
-        with pytest.raises(BusyFolderError), alone_in(tmp_path / "w"):
-            pass
 
 
 def test_one_process_at_a_time_works_in_a_folder_of_results(tmp_path):
@@ -203,23 +132,6 @@ def test_one_process_at_a_time_works_in_a_folder_of_results(tmp_path):
     exists = r"cannot write .*: File exists"
     with pytest.raises(LumitreeError, match=exists), alone_in(tmp_path / "file"):
         pass
-
-
-def test_a_scratch_folder_that_is_taken_for_abandoned_is_made_again(tmp_path, monkeypatch):
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    make = tempfile.mkdtemp
-    made = []
-
-    def make_and_remove(**options):
-        made.append(make(**options))
-        if len(made) == 1:
-            os.rmdir(made[0])
-        return made[-1]
-
-    monkeypatch.setattr(tempfile, "mkdtemp", make_and_remove)
-    with scratch_folder() as folder:
-        assert os.listdir(tmp_path) == [folder.name]
-    assert len(made) == 2
 
 
 def test_scratch_folders_last_as_long_as_their_objects(tmp_path, monkeypatch):
@@ -292,19 +204,6 @@ def test_files_of_an_output_appear_together_and_replace_older_ones(tmp_path):
     assert (tmp_path / "lamp.rad").read_text() == (tmp_path / "lamp.zz.dat").read_text() == "new"
 
 
-def test_the_file_that_is_opened_is_moved_last(tmp_path, monkeypatch):
-    moved, replace = [], os.replace
-
-    def note(source, target):
-        moved.append(Path(target).name)
-        replace(source, target)
-
-    monkeypatch.setattr(os, "replace", note)
-    with atomic_files(tmp_path / "new" / "lamp.rad") as folder:
-        write_set(folder)
-    assert moved == ["lamp.r.dat", "lamp.zz.dat", "lamp.rad"]
-
-
 @pytest.mark.parametrize("write", [atomic_files, atomic_folder])
 def test_files_that_failed_leave_no_trace(tmp_path, write):
     def fail(error):
@@ -353,30 +252,26 @@ def test_folders_that_hold_something_are_refused(tmp_path, monkeypatch):
     assert sorted(os.listdir(tmp_path)) == ["full", "here"]
 
 
-def test_folders_beside_an_output_that_a_killed_process_left_are_removed(tmp_path):
-    code = (
-        "import sys, time\n"
-        "from pathlib import Path\n"
-        "from lumitree.core.work_folder import atomic_files\n"
-        "with atomic_files(Path(sys.argv[1])) as folder:\n"
-        "    print(folder.parent, flush=True)\n"
-        "    time.sleep(600)\n"
-    )
-    output = str(tmp_path / "lamp.rad")
-    processes = [
-        subprocess.Popen([sys.executable, "-c", code, output], stdout=subprocess.PIPE)
-        for _ in range(2)
-    ]
-    killed, living = (Path(each.stdout.readline().decode().strip()) for each in processes)
-    try:
-        processes[0].kill()
-        processes[0].wait()
-        assert killed.exists()
-        with atomic_files(Path(output)) as folder:
-            write_set(folder)
-        assert not killed.exists()
-        assert living.exists()
-    finally:
-        processes[1].kill()
-        for each in processes:
-            each.communicate()
+def removed_before(function, path, monkeypatch):
+    """Let another process remove a path just before the first call of a function."""
+    original = getattr(work_folder, function)
+
+    def remove_and_call(*args, **kwargs):
+        monkeypatch.undo()
+        shutil.rmtree(path, ignore_errors=True)
+        return original(*args, **kwargs)
+
+    monkeypatch.setattr(work_folder, function, remove_and_call)
+
+
+def test_a_folder_that_its_owner_removes_meanwhile_is_made_again(tmp_path, monkeypatch):
+    removed_before("lock", tmp_path / "w", monkeypatch)
+    with WorkFolder(tmp_path / "w"):
+        assert (tmp_path / "w" / MARKER).exists()
+        with pytest.raises(BusyFolderError):
+            WorkFolder(tmp_path / "w")
+    removed_before("lock", tmp_path / "w", monkeypatch)
+    with alone_in(tmp_path / "w"):
+        assert (tmp_path / "w").is_dir()
+        with pytest.raises(BusyFolderError), alone_in(tmp_path / "w"):
+            pass

@@ -104,12 +104,6 @@ def test_a_light_output_ratio_that_disagrees_is_said(tmp_path):
     assert lamp.lumens == pytest.approx(10 * percent, rel=1e-3)
 
 
-def test_the_tilt_of_the_measurement_is_said(tmp_path):
-    with pytest.warns(LumitreeWarning, match="tilted by 15 degrees"):
-        lamp = read(tmp_path, text_of(0, intensities(24), tilt=15))
-    assert lamp.at(direction_of(C, 60.0)) == pytest.approx(2 * intensities(24)[:, 6])
-
-
 @pytest.mark.parametrize(
     ("size", "heights", "opening"),
     [
@@ -141,11 +135,6 @@ def test_luminous_areas_are_read_and_written(tmp_path, size, heights, opening):
 def test_heights_above_the_sides_are_refused():
     with pytest.raises(LumitreeError, match="luminous up to"):
         Opening((1, 1, 1), heights=(2, 0, 0, 0))
-
-
-def test_a_file_of_all_planes_has_the_flux_of_its_distribution(tmp_path):
-    lamp = IntensityDistribution("own", C, GAMMA, 2 * intensities(24))
-    assert read(tmp_path, text_of(0, intensities(24))).lumens == pytest.approx(lamp.lumens)
 
 
 @pytest.mark.parametrize("step", [1, 2.5, 10, 12])

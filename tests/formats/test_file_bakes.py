@@ -1,7 +1,5 @@
 """Assets from photometric files and ray files, against the intensities that the files state."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 
@@ -9,9 +7,8 @@ import lumitree
 from lumitree.asset.packed_colours import unpack
 from lumitree.core.device import on_device
 from lumitree.core.frames import rotation, similarity
-from lumitree.core.octahedral import bin_of, interpolated, middle_directions, parts_of_bins
-from lumitree.core.photometry import LUMENS_PER_WATT, blackbody_colour, luminance
-from lumitree.errors import LumitreeError
+from lumitree.core.octahedral import bin_of, interpolated, middle_directions
+from lumitree.core.photometry import blackbody_colour, luminance
 from lumitree.formats import light_field as baking
 from lumitree.formats.ies import write_ies
 from lumitree.formats.ldt import write_ldt
@@ -26,7 +23,7 @@ from lumitree.formats.tm25 import write_tm25
 from lumitree.formats.type_c import Grid, IntensityDistribution, direction_of, z_up
 from lumitree.rendering.asset_flux import asset_lumens, asset_watts
 from lumitree.trace.light_field_config import LightFieldFitConfig
-from support.slow import slow, slow_but
+from support.slow import slow
 from support.walls import irradiance
 
 
@@ -75,19 +72,6 @@ def test_a_distribution_keeps_its_flux_and_its_intensities(mi, opening):
     found = bin_intensity(asset, direction)
     assert found == pytest.approx(np.array(exact), abs=1000 * 2 * np.deg2rad(2))
     assert found.mean() == pytest.approx(np.mean(exact), rel=3e-3)
-
-
-def test_quarters_and_corners_of_bins_are_those_of_the_renderer():
-    """Against the interpolation in any direction, over all seams of the map."""
-    values = np.random.default_rng(0).random((8, 8))
-    directions, solid_angle = parts_of_bins(8, 2)
-    expected = interpolated(values.ravel(), directions.reshape(-1, 3)).reshape(16, 16)
-    somewhere = solid_angle > 0
-    assert baking._between(values)[somewhere] == pytest.approx(expected[somewhere], abs=1e-9)
-    middles = middle_directions(8)
-    points = (middles / np.abs(middles).sum(axis=1, keepdims=True)).reshape(8, 8, 3)
-    expected = interpolated(values.ravel(), baking._corners(points).reshape(-1, 3)).reshape(9, 9)
-    assert baking._corners(values) == pytest.approx(expected, abs=1e-9)
 
 
 @pytest.mark.parametrize("power", [3, 10])
@@ -182,95 +166,6 @@ def test_near_an_opening(mi, tmp_path, opening, power, point, exact):
     assert lux == pytest.approx(exact, rel=0.05 if exact > 1000 else 0.025)
 
 
-SHAPES = {
-    "ellipsoid": Opening((0.6, 0.4, 0.3), "ellipsoid"),
-    "vertical elliptical cylinder": Opening((0.5, 0.4, 0.3), "cylinder", 1),
-    "cylinder along C0": Opening((0.8, 0.3, 0.3), "cylinder", 0),
-    "cylinder along C90": Opening((0.3, 0.3, 0.8), "cylinder", 2),
-    "box": Opening((0.5, 0.3, 0.4)),
-}
-
-
-def chord(opening, origin, direction):
-    """Which rays [N] meet a convex shape: by its unit shape, which they are scaled to."""
-    half = np.array(opening.sides) / 2
-    o, d = origin / half, direction / half
-    if opening.shape == "ellipsoid":
-        return quadratic(o, d)[0] < np.inf
-    if opening.shape == "box":
-        return slabs(o, d, range(3))[0]
-    around = [axis for axis in range(3) if axis != opening.axis]
-    enter, leave = quadratic(o[around], d[:, around])
-    _, low, high = slabs(o, d, [opening.axis])
-    return (np.maximum(enter, low) < np.minimum(leave, high)) & (enter < np.inf)
-
-
-def quadratic(o, d):
-    """Distances at which rays enter and leave the unit ball; infinite if they miss it."""
-    a, b, c = (d * d).sum(axis=1), d @ o, o @ o - 1
-    root = np.sqrt(np.maximum(b * b - a * c, 0))
-    met = b * b > a * c
-    return np.where(met, (-b - root) / a, np.inf), np.where(met, (-b + root) / a, np.inf)
-
-
-def slabs(o, d, axes):
-    """Which rays meet the slabs [-1, 1], and where they enter and leave."""
-    near = [np.minimum((-1 - o[i]) / d[:, i], (1 - o[i]) / d[:, i]) for i in axes]
-    far = [np.maximum((-1 - o[i]) / d[:, i], (1 - o[i]) / d[:, i]) for i in axes]
-    low, high = np.max(near, axis=0), np.min(far, axis=0)
-    return low < high, low, high
-
-
-def projected_area(opening, direction):
-    """Area [N] of the projections of a shape, closed forms."""
-    a, b, c = np.array(opening.sides) / 2
-    x, y, z = np.abs(direction.T)
-    if opening.shape == "ellipsoid":
-        return np.pi * np.sqrt((b * c * x) ** 2 + (c * a * y) ** 2 + (a * b * z) ** 2)
-    if opening.shape == "box":
-        return 4 * (b * c * x + c * a * y + a * b * z)
-    if opening.axis == 1:
-        return np.pi * a * c * y + 4 * b * np.hypot(c * x, a * z)
-    if opening.axis == 0:
-        return np.pi * b * c * x + 4 * a * np.hypot(c * y, b * z)
-    return np.pi * a * b * z + 4 * c * np.hypot(b * x, a * y)
-
-
-def reference_lux(opening, point):
-    """Irradiance of a wall that faces the centre of a shape, with 100 cd in all directions.
-
-    The radiance in a direction is 100 cd over the projected area, on all rays that meet the shape:
-    by rays from the wall, uniform in the cone about the bounding sphere.
-    """
-    point = np.array(point, float)
-    distance, radius = np.linalg.norm(point), np.linalg.norm(opening.sides) / 2
-    random = np.random.default_rng(0).random((1 << 20, 2))
-    least = np.sqrt(1 - (radius / distance) ** 2) if radius < distance else 0.0
-    cosine, angle = 1 - random[:, 0] * (1 - least), 2 * np.pi * random[:, 1]
-    axis = -point / distance
-    side = np.cross(axis, [0.3, 0.5, 0.8])
-    side /= np.linalg.norm(side)
-    sine = np.sqrt(1 - cosine**2)
-    across = np.outer(np.cos(angle), side) + np.outer(np.sin(angle), np.cross(axis, side))
-    direction = cosine[:, None] * axis + sine[:, None] * across
-    met = chord(opening, point, direction)
-    return (
-        2 * np.pi * (1 - least) * np.mean(met * 100 / projected_area(opening, direction) * cosine)
-    )
-
-
-@pytest.mark.parametrize("name", slow_but(set(SHAPES) - {"cylinder along C90"}, SHAPES))
-@pytest.mark.parametrize("point", [[0, -0.6, 0], slow([0.1, -0.2, -0.6])])
-def test_near_every_shape(mi, name, point):
-    """Where a box in place of a round shape would give 10 to 20 % more or less, at one point."""
-    opening = SHAPES[name]
-    lamp = lumitree.shape(bake_distribution(even(opening)))
-    exact = reference_lux(opening, point)
-    found, error = irradiance(mi, {"lamp": lamp}, point, [-x for x in point], samples=1 << 16)
-    assert luminance(error) < 0.01 * exact
-    assert luminance(found) == pytest.approx(exact, rel=0.04)
-
-
 # Where the light falls, relative to the lamp; the second is off the axis, in a known C.
 POINTS = {"below": ([0, -2, 0], [0, 1, 0]), "aside": ([0.8, -1.2, 0.5], [-0.5, 1, 0])}
 
@@ -295,26 +190,6 @@ def test_a_wall_gets_the_analytic_illuminance(mi, tmp_path, name, turned):
     # The bin in which the wall is has the mean intensity of its directions.
     assert lux == pytest.approx(exact, rel=0.03)
     assert np.ptp(found) < 1e-4 * found.max()
-
-
-@pytest.mark.slow
-def test_importance_sampling_of_a_narrow_spot_has_little_noise(mi, tmp_path):
-    """Uniform directions of the proxy would have found it as well; light paths would not."""
-    asset = bake_distribution(spot(power=200))
-    path = tmp_path / "spot.lumitree"
-    lumitree.save(asset, path)
-    from lumitree.octree.field import shared_field
-    from lumitree.rendering.sampling.divided_sampling import emitter_sampler
-    from lumitree.rendering.sampling.proxy import BoxProxy
-
-    emitter = emitter_sampler(asset, shared_field(asset), BoxProxy(asset.frame.half_extents))
-    sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(0, 1 << 16)
-    _, _, flux = emitter.sample_ray(sampler.next_1d(), sampler.next_2d(), sampler.next_2d())
-    lumens = luminance(np.array(flux).reshape(3, -1).T) * asset.frame.scale**2
-    assert lumens.mean() == pytest.approx(asset_lumens(asset), rel=0.01)
-    # With directions uniform on the sphere it would be about 14.
-    assert lumens.std() / lumens.mean() < 0.5
 
 
 def test_files_of_all_kinds_have_one_flux(mi, tmp_path):
@@ -365,13 +240,6 @@ def test_rays_become_a_histogram(mi):
     assert colour / colour[2] == pytest.approx([3, 2, 1], rel=0.05)
 
 
-def test_rays_of_a_point_get_a_small_box(mi):
-    rays = Rays(np.full((8, 3), 2.0), direction_of(np.arange(8) * 45, 60), np.ones((8, 3)))
-    asset = bake_rays(rays, "point", LightFieldFitConfig(depth=1, resolution=4))
-    assert asset.frame.size == pytest.approx([POINT_SIZE] * 3)
-    assert asset.frame.centre == pytest.approx([2, 2, 2])
-
-
 def test_z_is_up_in_ray_files(mi, tmp_path):
     """Light along -z of the file goes down."""
     rays = Rays(np.zeros((1, 3)), np.array([[0.0, -1, 0]]), np.ones((1, 3)))
@@ -390,36 +258,3 @@ def test_lumens_and_temperature(mi, tmp_path):
     colour = asset_watts(warm)
     expected = np.array(blackbody_colour(2700.0))
     assert colour / colour[0] == pytest.approx(expected / expected[0], abs=5e-3)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"lumens": 0.0}, "lumens"),
-        ({"lumens": float("nan")}, "lumens"),
-        ({"temperature": 100.0}, "temperature"),
-    ],
-)
-def test_arguments_out_of_range_are_refused(mi, tmp_path, options, message):
-    write_ies(tmp_path / "a.ies", spot(step=30))
-    with pytest.raises(LumitreeError, match=message):
-        lumitree.bake_photometric(tmp_path / "a.ies", tmp_path / "a.lumitree", **options)
-    assert not (tmp_path / "a.lumitree").exists()
-
-
-def test_the_colours_of_rays_get_the_same_factors(mi, tmp_path):
-    rays = uniform_rays(4096)
-    rays = dataclasses.replace(rays, flux=rays.flux * np.array([3.0, 2.0, 1.0]))
-    write_tm25(tmp_path / "a.ray", rays, "rays")
-    warm = lumitree.bake_photometric(tmp_path / "a.ray", temperature=2700.0).asset
-    expected = luminance(rays.flux.sum(axis=0)) / LUMENS_PER_WATT
-    assert asset_watts(warm) == pytest.approx(expected * np.array(blackbody_colour(2700)), rel=5e-3)
-
-
-def test_files_that_emit_nothing(mi, tmp_path):
-    grid = Grid(30)
-    dark = IntensityDistribution("dark", grid.c, grid.gamma, np.zeros((12, 7)))
-    for name, write in (("a.ies", write_ies), ("a.ldt", write_ldt)):
-        write(tmp_path / name, dark)
-        with pytest.raises(LumitreeError, match="emits nothing"):
-            lumitree.bake_photometric(tmp_path / name)

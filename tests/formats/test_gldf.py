@@ -1,6 +1,5 @@
 """GLDF and L3D files as lamps, against closed forms and the intensities of their photometries."""
 
-import json
 import os
 from pathlib import Path
 
@@ -8,25 +7,20 @@ import numpy as np
 import pytest
 
 import lumitree
-from lumitree.cli import main
-from lumitree.core.file_kinds import what_it_is
 from lumitree.core.frames import rotation
 from lumitree.core.octahedral import middle_directions
 from lumitree.core.photometry import flux_from_radiance, luminance
 from lumitree.errors import LumitreeError, LumitreeWarning
-from lumitree.formats import archive as archives
-from lumitree.formats import l3d_geometry, light_sources, xml_tree
+from lumitree.formats import l3d_geometry, light_sources
 from lumitree.formats.archive import Archive
-from lumitree.formats.gldf import read_variant
 from lumitree.formats.ies import write_ies
 from lumitree.formats.l3d import read_l3d, zxy
 from lumitree.formats.ldt import write_ldt
 from lumitree.formats.opening import Opening
-from lumitree.formats.type_c import Grid, IntensityDistribution, direction_of, y_up, z_up
+from lumitree.formats.type_c import Grid, IntensityDistribution
 from lumitree.lamp.source import LuminaireSource, gldf_variant, source_kind
 from lumitree.rendering.asset_flux import asset_lumens
 from lumitree.rendering.asset_info import asset_report
-from support.damage import damaged, refused
 from support.gldf_files import (
     FACES,
     FILES,
@@ -43,17 +37,9 @@ from support.gldf_files import (
     variant,
     zipped,
 )
-from support.walls import irradiance
 
 PEAK = 200.0
 OLD = "<Header><FormatVersion>0.9</FormatVersion></Header>"
-ROOM = (
-    '<scene version="3.0.0"><sensor type="perspective"><transform name="to_world">'
-    '<lookat origin="0,0,3" target="0,0,0" up="0,1,0"/></transform><film type="hdrfilm">'
-    '<integer name="width" value="8"/><integer name="height" value="8"/></film></sensor>'
-    '<integrator type="path"/><shape type="rectangle"><transform name="to_world">'
-    '<rotate x="1" angle="-90"/><translate y="-1"/></transform></shape></scene>'
-)
 
 
 def lobe(power=1.0, tilt=0.0, peak=PEAK):
@@ -128,29 +114,6 @@ def test_the_light_is_that_of_the_file_and_starts_on_the_object(files):
     assert np.abs(passed).max() < 5e-3
 
 
-def configuration(a, b):
-    """Configuration factor of a rectangle a by b from a point at unit distance below a corner."""
-    x, y = np.hypot(1, a), np.hypot(1, b)
-    return (a / x * np.arctan(b / x) + b / y * np.arctan(a / y)) / (2 * np.pi)
-
-
-@pytest.mark.slow
-def test_near_the_lower_face(mi, files):
-    """Below the middle and below an edge of the rectangle 0.5 x 0.25 m of even radiance."""
-    lamp = lumitree.shape(files())
-    for aside, below in ((0.0, 0.1), (0.0, 0.25), (0.25, 0.1)):
-        halves = [(0.25 + aside) / below, (0.25 - aside) / below]
-        exact = np.pi * PEAK / (0.5 * 0.25)
-        exact *= sum(2 * configuration(half, 0.125 / below) for half in halves)
-        point = [aside, -below, 0]
-        found, error = irradiance(mi, {"lamp": lamp}, point, [0, 1, 0], samples=1 << 15)
-        assert luminance(error) < 0.005 * exact
-        assert luminance(found) == pytest.approx(exact, rel=0.015)
-        # A point of light in the middle would give another value.
-        inverse_square = PEAK * below**2 / (below**2 + aside**2) ** 2
-        assert abs(inverse_square / exact - 1) > 0.3
-
-
 @pytest.mark.parametrize(
     ("units", "metres"),
     [("m", 1), ("dm", 0.1), ("cm", 0.01), ("mm", 0.001), ("inch", 0.0254), ("foot", 0.3048)],
@@ -218,21 +181,6 @@ def test_each_object_has_its_photometry_place_and_rotation(files):
         assert np.linalg.norm(missed, axis=1).max() < 4e-3
 
 
-def test_rotations_of_an_emitter_come_before_that_of_the_object(files):
-    write_ldt("lamp.ldt", lobe(2.0, 0.6))
-    turned = "<Rotation><X>0</X><Y>90</Y><Z>0</Z><G0>90</G0></Rotation>"
-    asset = lumitree.load(files(product(emitters=emitter(rest=turned)),
-                               l3d(structure(part(light(turn=(0, 0, 30)))))))  # fmt: skip
-    directions = middle_directions(asset.light_field.resolution)
-    _, candela = starts(asset)
-    # G0 by 90 degrees: C = 0 of the file is at C = 90.
-    matrix = zxy(0, 0, 30) @ zxy(0, 90, 0) @ rotation((0, 0, 1), 90)
-    exact = lobe(2.0, 0.6).at(y_up(z_up(directions) @ matrix))
-    assert candela == pytest.approx(exact, abs=0.02 * PEAK)
-    c90 = y_up(rotation((0, 0, 1), 90) @ z_up(direction_of(0, 90)))
-    assert c90 == pytest.approx(direction_of(90, 90))
-
-
 def test_luminous_faces_emit_the_flux(made):
     """Of two groups, in the second; a face of half the weight has half the radiance."""
     text = obj(head="g first", faces=[*FACES[:2], "\ng second", *FACES[2:]])
@@ -272,14 +220,6 @@ def test_an_object_without_luminous_faces_emits_itself(made):
     assert np.ptp(lit[0]["vertices"], axis=0)[[0, 2]] == pytest.approx(0.1, rel=1e-2)
     a, b, c = np.moveaxis(lit[0]["vertices"][lit[0]["faces"]], 1, 0)
     assert (np.cross(b - a, c - a)[:, 1] < 0).all()
-
-
-def test_a_model_that_cannot_be_shown_is_left_out(made):
-    model = l3d(box_obj="v 0 0\nf 1 2 3")
-    with pytest.warns(LumitreeWarning, match="without its 3D model"):
-        asset = lumitree.load(made(model=model))
-    assert asset.parts == ("light",)
-    assert asset_lumens(asset) == pytest.approx(lobe().lumens, rel=5e-3)
 
 
 def test_variants(made):
@@ -330,32 +270,6 @@ def test_the_product_states_the_flux(made):
     )
 
 
-@pytest.mark.slow
-def test_lamps_of_an_equipment_and_channels_of_a_light_source(made):
-    changeable = (
-        '<Emitter id="e"><ChangeableLightEmitter><PhotometryReference photometryId="photometry"/>'
-        '<EquipmentReference equipmentId="q"/></ChangeableLightEmitter></Emitter>'
-    )
-    lamp = (
-        '<Equipment id="q"><LightSourceReference changeableLightSourceId="s" '
-        'lightSourceCount="2"/></Equipment><ChangeableLightSource id="s"><RatedLuminousFlux>350'
-        "</RatedLuminousFlux></ChangeableLightSource>"
-    )
-    asset = lumitree.load(made(product(emitters=changeable, general=lamp)))
-    assert asset_lumens(asset) == pytest.approx(lobe().lumens, rel=5e-3)
-    channels = (
-        '<Emitter id="e"><MultiChannelLightEmitter><LightSourceReference '
-        'multiChannelLightSourceId="s"/></MultiChannelLightEmitter></Emitter>'
-    )
-    channel = '<Channel><PhotometryReference photometryId="photometry"/></Channel>'
-    general = f'<MultiChannelLightSource id="s"><Channels>{2 * channel}</Channels>' + (
-        "</MultiChannelLightSource>"
-    )
-    with pytest.warns(LumitreeWarning, match="all channels"):
-        asset = lumitree.load(made(product(emitters=channels, general=general)))
-    assert asset_lumens(asset) == pytest.approx(2 * lobe().lumens, rel=5e-3)
-
-
 def test_emergency_operation_is_left_out(made):
     only = emitter("f", attributes='emergencyBehaviour="EmergencyOnly"')
     xml = product(variant(in_model({"leo": "e", "other": "f"})), emitter() + only)
@@ -367,28 +281,6 @@ def test_emergency_operation_is_left_out(made):
     xml = product(variant(in_model({"leo": "f"})), only)
     with pytest.raises(LumitreeError, match="no emitter that lights in normal operation"):
         lumitree.load(made(xml, name="b.gldf"))
-
-
-@pytest.mark.slow
-def test_simple_geometries_and_none(made):
-    """The opening is that of the product, or else that of the photometry."""
-    simple = (
-        '<SimpleGeometry id="s"><RectangularEmitter><Width>100</Width><Length>400</Length>'
-        "</RectangularEmitter><C-Heights><C0>20</C0><C90>20</C90><C180>20</C180><C270>20</C270>"
-        "</C-Heights></SimpleGeometry>"
-    )
-    reference = '<SimpleGeometryReference geometryId="s" emitterId="e"/>'
-    asset = lumitree.load(made(product(variant(reference), general=simple)))
-    assert asset.frame.size == pytest.approx([0.1, 0.02, 0.4])
-    asset = lumitree.load(
-        made(product(variant('<EmitterReference emitterId="e"/>')), name="b.gldf")
-    )
-    assert asset.frame.size[[0, 2]] == pytest.approx([0.3, 0.2])
-    assert asset_lumens(asset) == pytest.approx(lobe().lumens, rel=5e-3)
-    xml = product(variant('<EmitterReference emitterId="e"/>'), emitter(lumens="350"))
-    with pytest.warns(LumitreeWarning, match="states 350 lm"):
-        asset = lumitree.load(made(xml, name="c.gldf"))
-    assert asset_lumens(asset) == pytest.approx(lobe().lumens / 2, rel=5e-3)
 
 
 def test_nothing_is_downloaded(made):
@@ -403,28 +295,8 @@ def test_nothing_is_downloaded(made):
     assert asset_lumens(asset) == pytest.approx(lobe().lumens, rel=5e-3)
 
 
-@pytest.mark.slow
-def test_commands(made, capsys):
-    path = made()
-    assert what_it_is(path) == "a GLDF file"
-    Path("room.xml").write_text(ROOM)
-    for command, shown in (
-        (["info", path], "lumens"),
-        (["photometry", path, "--paths", "16384", "--step", "15"], "luminous flux"),
-        (["render", "room.xml", "-o", "room.exr", "--spp", "4", "--place", path], "room.exr"),
-        (["bake", path, "-o", "lamp.lumitree", "--temperature", "2700"], "lamp.lumitree"),
-        (["bake", path + "#v", "-o", "lamps/"], "lamps"),
-    ):
-        assert main([*command, "--json", "report.json"]) == 0, command
-        assert shown in capsys.readouterr().out
-    assert lumitree.load("lamp.lumitree").parts == ("light", "geometry")
-    assert main(["info", path, "--json", "report.json"]) == 0
-    assert json.loads(Path("report.json").read_text())["asset"]["geometry_triangles"] == 12
-
-
-def test_hostile_archives(made, monkeypatch):
+def test_names_that_lead_out_of_a_folder_are_read_and_never_written(made, monkeypatch):
     path = Path(made()).absolute()
-    # Names that lead out of a folder are read, and never written.
     xml = structure(file="../../../out.obj")
     made(model=l3d(xml, **{"../../../out_obj": obj(), "../x_png": b"x", "/x_png": b"x"}))
     written = []
@@ -436,33 +308,13 @@ def test_hostile_archives(made, monkeypatch):
         "/box-0/lumitree-lights.mtl",
         "/box-0/out.obj",
     ]
-    entity = '<!DOCTYPE Root [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;&a;">]>'
-    made(product().replace("<Root>", entity + "<Root>"))
-    with pytest.raises(LumitreeError, match="declares XML entities"):
-        lumitree.load(path)
-    made("<a>" * 300 + "</a>" * 300)
-    with pytest.raises(LumitreeError, match="nested more than 256 deep"):
-        lumitree.load(path)
-    monkeypatch.setattr(archives, "_MAX_UNPACKED", 1 << 20)
-    made(model=l3d(box_obj=obj() + "#" * (1 << 20)))
-    with pytest.warns(LumitreeWarning, match="too large"):
-        lumitree.load(path)
-    made(product() + " " * (1 << 20))
-    with pytest.raises(LumitreeError, match="too large"):
-        lumitree.load(path)
-    monkeypatch.undo()
-    monkeypatch.setattr(xml_tree, "MAX_BYTES", 100)
-    with pytest.raises(LumitreeError, match="limit for a product of GLDF"):
-        lumitree.load(path)
 
 
 @pytest.mark.parametrize(
     ("content", "message"),
     [
         (b"PK\x03\x04", "damaged, or no zip archive"),
-        (b"text", "no zip archive"),
         (zipped({}), "product.xml in .* is missing"),
-        (zipped({"product.xml": ""}), "not well-formed"),
         (zipped({"product.xml": "<Root/>"}), "it has no variants"),
         (zipped({"product.xml": "<Other/>"}), "begins with <Other>"),
         (zipped({"product.xml": product()}), "geo/lamp.l3d.* not in the archive"),
@@ -472,17 +324,11 @@ def test_hostile_archives(made, monkeypatch):
             zipped({"product.xml": product(head=OLD).replace("FixedLight", "Light")}),
             "no emitter that lights .*; it is of version 0.9, where 1.0 is read",
         ),
-        (zipped({"product.xml": product(), "geo/lamp.l3d": "no"}), "no zip archive"),
         (zipped({"product.xml": product(), "geo/lamp.l3d": l3d("<Luminaire/>")}), "no light em"),
         (zipped({"product.xml": product(), "geo/lamp.l3d": l3d()}), "ldc/lamp.ldt.* not in the"),
         (
             zipped({"product.xml": product(), "geo/lamp.l3d": l3d(), "ldc/lamp.ldt": "no"}),
             "ldc/lamp.ldt in .*gldf is not a usable EULUMDAT file",
-        ),
-        (
-            zipped({"product.xml": product(variant(in_model({"x": "e"}))), "geo/lamp.l3d": l3d(),
-                    "ldc/lamp.ldt": "no"}),
-            "EULUMDAT",
         ),
     ],
 )  # fmt: skip
@@ -497,35 +343,3 @@ def test_refusals(mi, tmp_path, content, message):
 def test_an_object_that_is_missing(made):
     with pytest.raises(LumitreeError, match="no light emitting object 'x'; it has leo"):
         lumitree.load(made(product(variant(in_model({"x": "e"})))))
-
-
-def test_damage_is_refused_in_a_line(made):
-    """Of the XML, of the structure, and of the archive."""
-    path, rng = Path(made()), np.random.default_rng(0)
-    whole, inner = path.read_bytes(), Path("lamp.ldt").read_bytes()
-    refusals = 0
-
-    def attempt():
-        archive = Archive.open(path, "a GLDF file")
-        found = read_variant(archive, path, None)
-        if found.model is not None:
-            model = archive.read(found.model.member(archive), "an L3D model")
-            read_l3d(Archive(model, "model", "an L3D model", archive))
-        for each in found.emitters:
-            archive.read(each.photometry.member(archive), "a photometry")
-
-    for count in range(240):
-        if count % 3 == 0:
-            path.write_bytes(damaged(whole, rng))
-        else:
-            xml = damaged(product().encode(), rng) if count % 3 == 1 else product()
-            text = damaged(structure().encode(), rng) if count % 3 == 2 else structure()
-            files = {"product.xml": xml, "ldc/lamp.ldt": inner, "geo/lamp.l3d": l3d(text)}
-            path.write_bytes(zipped(files))
-        refusals += refused(attempt)
-    assert refusals > 100
-
-
-def test_warnings_of_a_model_name_it(made):
-    with pytest.warns(LumitreeWarning, match="lamp.gldf/box-0/box.obj: no MTL file describes none"):
-        lumitree.load(made(model=l3d(box_obj=obj(head="usemtl none"))))

@@ -6,25 +6,7 @@ import pytest
 
 from lumitree.errors import LumitreeWarning
 from lumitree.formats.ies import read_ies, write_ies
-from lumitree.formats.ies_fields import GENERATIONS, SIMULATED, edition, second_number
-
-
-@pytest.mark.parametrize(
-    ("first", "year"),
-    [
-        ("IES:LM-63-2019", 2019),
-        ("ANSI/IES LM-63-19", 2019),
-        ("IESNA:LM-63-2002", 2002),
-        ("IESNA: LM-63-02", 2002),
-        ("IESNA:LM-63-1995", 1995),
-        ("IESNA91", 1991),
-        ("IESNA86", 1986),
-        ("a luminaire of 2019", 1986),
-    ],
-)
-def test_editions(first, year):
-    assert edition(f"{first}\n[TEST] 2002\n") == year
-
+from lumitree.formats.ies_fields import GENERATIONS, SIMULATED, second_number
 
 ACCREDITED = "1.10000"
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from lumitree.cli import main
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.formats.archive import Archive
 from lumitree.formats.gldf_asset import bake_gldf
@@ -119,16 +118,6 @@ def test_pixels_of_images_are_counted_before_they_are_decoded():
         assert bake_gldf(gldf(model=model)).geometry is None
 
 
-def test_triangles_count_in_all_places():
-    """A model of 14,012 triangles in 41 places."""
-    strip = "".join(f"v {i} 0 1\nv {i} 1 1\n" for i in range(7001))
-    faces = "".join(f"f {9 + i} {10 + i} {11 + i}\n" for i in range(14_000))
-    parts = PARTS + "".join(part(at=(i, 0, 0)) for i in range(40))
-    model = l3d(structure(parts), box_obj=obj() + strip + faces)
-    with pytest.warns(LumitreeWarning, match="more than 524288 triangles in all places"):
-        bake_gldf(gldf(model=model))
-
-
 def test_parts_of_a_model_are_counted():
     many = l3d(structure(PARTS + 1000 * part()))
     with pytest.raises(LumitreeError, match="more than 1000 parts and light emitting objects"):
@@ -147,16 +136,6 @@ def test_emitters_of_different_angles_are_limited(folder):
     (folder / "a.tm33").write_text(text)
     with pytest.raises(LumitreeError, match=r"2 emitters have 1500 x 1500 different angles"):
         read_tm33("a.tm33")
-
-
-@pytest.mark.parametrize("command", [["info"], ["bake", "-o", "lamp.lumitree"], ["photometry"]])
-def test_a_model_without_intensities_is_named(command, folder, capsys):
-    (folder / "lamp.l3d").write_bytes(l3d())
-    assert main([command[0], "lamp.l3d", *command[1:]]) == 2
-    assert (
-        "lamp.l3d is an L3D model, which has no intensities: give the GLDF"
-        in capsys.readouterr().err
-    )
 
 
 @pytest.mark.parametrize("declared", ["UTF-16", "utf-8"])

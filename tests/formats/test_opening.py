@@ -146,35 +146,3 @@ def test_luminous_sides_of_different_heights(opening, sides):
         if expected:
             # From the lower face up.
             assert points[facing > 0][:, 1].min() < -0.9 * height / 2
-
-
-def test_openings_are_named():
-    for opening, name in (
-        (Opening(), "point"),
-        (Opening((0.6, 0, 0.2)), "rectangle, 0.6 x 0.2 x 0 m (C0, C90, up)"),
-        (Opening((0.6, 0.1, 0.2)), "box, 0.6 x 0.2 x 0.1 m (C0, C90, up)"),
-        (Opening((0.2, 0, 0.2), "cylinder"), "disk, 0.2 x 0.2 x 0 m (C0, C90, up)"),
-        (
-            Opening((0, 0.2, 0.2), "cylinder", 0),
-            "disk that faces C0, 0 x 0.2 x 0.2 m (C0, C90, up)",
-        ),
-        (Opening((2, 0.1, 0.1), "cylinder", 0), "cylinder, axis C0, 2 x 0.1 x 0.1 m (C0, C90, up)"),
-        (Opening((1, 1, 1), "ellipsoid"), "ellipsoid, 1 x 1 x 1 m (C0, C90, up)"),
-    ):
-        assert str(opening) == name
-
-
-@pytest.mark.parametrize(
-    ("opening", "second"),
-    [
-        (Opening((3, 0, 2)), (9 / 12, 0, 4 / 12)),
-        (Opening((2, 0, 2), "cylinder"), (1 / 4, 0, 1 / 4)),
-        (Opening((0, 2, 3), "cylinder", 0), (0, 1 / 4, 9 / 16)),
-        (Opening((3, 0, 0)), (9 / 12, 0, 0)),
-    ],
-)
-def test_flat_openings_are_even(opening, second):
-    """The second moments of a rectangle, of disks and of a line."""
-    points, areas = opening.surface()
-    weight = np.linalg.norm(areas, axis=1)
-    assert (weight @ points**2 / weight.sum()).tolist() == pytest.approx(second, rel=5e-3)

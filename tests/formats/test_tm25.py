@@ -2,26 +2,18 @@
 
 import contextlib
 import struct
-import tracemalloc
 
 import numpy as np
 import pytest
 
-import lumitree
 from lumitree.core.photometry import (
     LUMENS_PER_WATT,
-    WAVELENGTHS,
-    colour_temperature,
     luminance,
-    matching_functions,
 )
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.formats.rays import Rays
 from lumitree.formats.tm25 import read_tm25, write_tm25
-from support.damage import damaged, refused
 from support.tm25_files import HEADER, file_bytes
-
-ROUNDS = 200
 
 
 def random_rays(count=50, seed=0):
@@ -62,15 +54,6 @@ def test_layout(path, mi):
     assert row[6] == pytest.approx(luminance(rays.flux[1]))
 
 
-def test_equal_rays_of_one_date_are_equal_files(path, mi, monkeypatch):
-    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1767225600")
-    write_tm25(path, random_rays(3), "bulb")
-    first = path.read_bytes()
-    assert first[28:56].rstrip(b"\0") == b"2026-01-01T00:00:00Z"
-    write_tm25(path, random_rays(3), "bulb")
-    assert path.read_bytes() == first
-
-
 def test_round_trip(path, mi):
     rays = random_rays()
     write_tm25(path, rays, "name")
@@ -103,11 +86,6 @@ def read_flux(path, columns, *options, **more):
     return read_tm25(path)[0].flux
 
 
-def test_radiant_flux_without_a_spectrum_is_white(path, mi):
-    flux = read_flux(path, [[2.0], [3.0]], [1, 1, 1, 0, 0, 0, 0, 0])
-    assert flux == pytest.approx(np.array([[2.0] * 3, [3.0] * 3]))
-
-
 @pytest.mark.parametrize(
     ("flags", "totals", "message"),
     [
@@ -129,16 +107,6 @@ def test_a_header_with_another_total_is_said(path, mi, flags, totals, message):
     assert flux.sum(axis=0) == pytest.approx([expected] * 3)
 
 
-def test_a_wide_spectral_table_takes_no_memory(path, mi):
-    tracemalloc.start()
-    flux = read_flux(path, [[1.0], [1.0]], [1, 1, 1, 0, 0, 0, 0, 0], 3, tables=[[[0, 1], [9e8, 1]]])
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert peak < 1 << 24
-    # The integral of V(λ) is 107 nm.
-    assert luminance(flux) == pytest.approx(683 * 107 / 9e8, rel=0.01)
-
-
 def test_wavelengths(path, mi):
     """A watt of 555 nm has 683 lm; red is red, and luminous flux is kept in the gamut of sRGB."""
     one = read_flux(path, [[2.0], [1.0]], [1, 1, 1, 0, 0, 0, 0, 0], 1, (555, np.nan, np.nan))
@@ -150,37 +118,6 @@ def test_wavelengths(path, mi):
     # The spectrum gives the colour only, if there is luminous flux.
     both = read_flux(path, [[1, 460, 7], [1, 630, 8]], [1, 1, 1, 1, 1, 0, 0, 0], 2)
     assert luminance(both) == pytest.approx([7, 8])
-
-
-def test_spectral_tables(path, mi):
-    nanometres = np.arange(380.0, 781, 10)
-    planck = nanometres**-5 / np.expm1(1.438777e7 / (nanometres * 2856))
-    table = np.stack([nanometres, planck / planck.max() * 100], axis=1)
-    flux = read_flux(path, [[5.0], [7.0]], [1, 1, 0, 0, 1, 0, 0, 0], 3, (np.nan, 380, 780), [table])
-    assert luminance(flux) == pytest.approx([5, 7])
-    temperature, duv = colour_temperature(flux[0])
-    assert temperature == pytest.approx(2856, abs=3)
-    assert abs(duv) < 3e-4
-    # A table of each ray, and a length that is not a multiple of 32 bytes.
-    narrow = np.array([[629.0, 1], [630, 1], [631, 1]])
-    flux = read_flux(
-        path, [[1.0, 2], [1.0, 1]], [1, 1, 1, 0, 0, 0, 0, 1], 4, tables=[table, narrow]
-    )
-    assert luminance(flux[0]) == pytest.approx(LUMENS_PER_WATT * 0.265, rel=0.01)
-    assert flux[0, 1] == 0
-    assert flux[1, 1] > 0
-
-
-def test_lines_between_whole_nanometres_keep_their_power(path, mi):
-    """By the integral of the table; its ends have 2 % of the power."""
-    table = np.array([[400, 0.005], [620.3, 0.005], [620.5, 100], [620.7, 0.005], [700, 0.005]])
-    flux = read_flux(path, [[1.0], [1.0]], [1, 1, 1, 0, 0, 0, 0, 0], 3, tables=[table])
-    x = np.linspace(400, 700, 300_001)
-    power = np.interp(x, *table.T)
-    visible = np.interp(x, WAVELENGTHS, matching_functions()[1])
-    expected = LUMENS_PER_WATT * (power * visible).sum() / power.sum()
-    assert luminance(flux) == pytest.approx(expected, rel=2e-3)
-    assert flux[0].argmax() == 0
 
 
 ROWS = [[*geometry, 1.0] for geometry in GEOMETRY]
@@ -197,23 +134,17 @@ def changed(offset, form, value):
     ("data", "message"),
     [
         (b"", "0 bytes"),
-        (b"TM25" + bytes(100), "104 bytes"),
         (b"RAYS" + file_bytes(ROWS, GOOD)[4:], "begin with"),
         (changed(4, "<i", 2020), "version is 2020"),
         (changed(20, "<Q", 0), "number of rays is 0"),
         (changed(20, "<Q", 3), "bytes; expected"),
-        (changed(20, "<Q", 2**63), "number of rays"),
         (changed(60, "<i", 5), "kind of spectral data is 5"),
-        (changed(76, "<i", -1), "spectral tables is -1"),
         (changed(76, "<i", 1), "spectral table has"),
         (changed(80, "<i", 2**30), "additional items"),
-        (changed(84, "<i", -32), "additional text"),
         (changed(256, "<i", 0), "position and direction"),
-        (changed(264, "<i", 2), "flags"),
         (changed(272, "<i", 0), "radiant or luminous"),
         (changed(HEADER, "<f", np.nan), "position"),
         (changed(HEADER + 12, "<f", 3.0), "length 1"),
-        (changed(HEADER + 24, "<f", np.nan), "flux"),
         (changed(HEADER + 24, "<f", -1.0), "flux"),
         # Its colour would be black.
         (
@@ -234,7 +165,6 @@ def changed(offset, form, value):
             ),
             "flux",
         ),
-        (file_bytes(ROWS, GOOD)[:-1], "bytes; expected"),
         (file_bytes([[*row[:6], 0] for row in ROWS], GOOD), "flux"),
         (file_bytes(ROWS, GOOD, 3, tables=[[[500, 1], [400, 1]]]), "do not increase"),
         (file_bytes(ROWS, GOOD, 3, tables=[[[500, np.nan], [600, 1]]]), "NaN"),
@@ -246,40 +176,3 @@ def test_bad_files_are_refused_in_a_line(path, mi, data, message):
     with pytest.raises(LumitreeError, match=message) as error:
         read_tm25(path)
     assert str(error.value).isprintable()
-
-
-def test_damaged_files_are_refused_or_read(path, mi):
-    nanometres = np.array([[400.0, 1], [700, 2]])
-    good = [
-        bytearray(file_bytes(ROWS, GOOD)),
-        bytearray(file_bytes([[*r, 1] for r in ROWS], [*GOOD[:7], 1], 4, tables=[nanometres])),
-    ]
-    random, outcomes = np.random.default_rng(0), set()
-
-    def check():
-        rays, _ = read_tm25(path)
-        assert np.isfinite(rays.flux).all()
-        assert len(rays) == 2
-
-    for round_ in range(ROUNDS):
-        data = bytearray(good[round_ % 2])
-        # Most of the file is empty text.
-        places = [*range(88), *range(256, 292), *range(HEADER, len(data))]
-        for place in random.choice(places, random.integers(1, 4)):
-            data[place] = random.integers(256)
-        path.write_bytes(data if round_ % 5 else damaged(bytes(data), random))
-        outcomes.add(refused(check))
-    assert outcomes == {True, False}
-
-
-def test_the_asset_of_a_ray_file_has_its_spectrum(mi, path, tmp_path):
-    rows = [[*geometry, 1.0] for geometry in GEOMETRY]
-    path.write_bytes(
-        file_bytes(rows, [1, 1, 0, 0, 1, 0, 0, 0], 3, tables=[[[440, 0], [450, 2], [460, 0]]])
-    )
-    assert lumitree.load(path).spectrum.power.argmax() == 450 - 360
-    baked = lumitree.bake_photometric(path, tmp_path / "lamp.lumitree").asset
-    assert lumitree.load(tmp_path / "lamp.lumitree").spectrum.power.tolist() == (
-        baked.spectrum.power.tolist()
-    )
-    assert baked.info.spectrum_share == 1

@@ -10,14 +10,13 @@ import lumitree
 from lumitree.cli import main
 from lumitree.core.file_kinds import SCENE, TM33, what_it_is
 from lumitree.core.octahedral import middle_directions
-from lumitree.core.photometry import LUMA, blackbody_colour, colour_temperature, luminance
+from lumitree.core.photometry import blackbody_colour, colour_temperature, luminance
 from lumitree.errors import LumitreeError, LumitreeWarning
-from lumitree.formats.opening import POINT, Opening
+from lumitree.formats.opening import Opening
 from lumitree.formats.tm33 import read_tm33
 from lumitree.formats.type_c import direction_of
 from lumitree.lamp.source import source_kind
 from lumitree.rendering.asset_flux import asset_lumens, asset_watts
-from support.damage import damaged, refused
 from support.slow import slow
 from support.tm33_files import candela, table, tm33
 
@@ -157,11 +156,6 @@ def test_openings(made, areas, opening):
     assert (found.shape, found.axis) == (opening.shape, opening.axis)
 
 
-def test_no_emission_areas(made):
-    with pytest.warns(LumitreeWarning, match="no emission areas"):
-        assert read_tm33(made(areas=""))[0].opening == POINT
-
-
 def test_a_spectrum_gives_the_colour(made):
     """Of a black body, in steps of 5 nm."""
     wavelength = np.arange(360, 835, 5.0)
@@ -180,18 +174,6 @@ def test_a_spectrum_gives_the_colour(made):
         distribution, colour = read_tm33(made(before=off, after=spectrum))
     assert distribution.lumens == 0
     assert colour == (1, 1, 1)
-
-
-@pytest.mark.parametrize("powers", [
-    [(620.3, 0), (620.5, 1), (620.7, 0)],
-    [(400, 0), (620, 0), (620, 1), (621, 1), (621, 0), (700, 0)],
-])  # fmt: skip
-def test_a_narrow_line_gives_the_colour(made, powers):
-    rows = "".join(f'<PwrData w="{w}">{p}</PwrData>' for w, p in powers)
-    spectrum = f"<SpectralData><EmitterSpectral>{rows}</EmitterSpectral></SpectralData>"
-    red, green, _ = read_tm33(made(after=spectrum))[1]
-    assert green == 0
-    assert red == pytest.approx(1 / LUMA[0], rel=0.01)
 
 
 @pytest.mark.parametrize("kind", ["CIE_C", "IES _ C", "TypeC", "B"])
@@ -216,12 +198,10 @@ def test_types(made, kind):
         (tm33(emitters=0), "it has 0 emitters"),
         (tm33(table(c=[0, 90, 100])), "C angles are 0 to 100"),
         (tm33().replace('h="22.5" v="5"', 'h="23" v="5"'), "expected one for each pair"),
-        (tm33().replace('v="5"', 'v="x"'), "the angle v of an intensity is 'x'"),
         (tm33(table(scale=-1)), "negative intensity"),
         (tm33(table(scale=0)), "emits nothing"),
         (tm33(top="<Equipment><Gonioradiometer><Type>CUSTOM</Type></Gonioradiometer></Equipment>"),
          "type of photometry is 'CUSTOM'"),
-        (tm33()[:-5], "not well-formed"),
         (tm33().replace("<Version>", "<!-- -->&a;<Version>"), "not well-formed"),
         (tm33().replace("<IESTM33-22>", '<!DOCTYPE a [<!ENTITY a "b">]><IESTM33-22>'), "entities"),
     ],
@@ -232,13 +212,3 @@ def test_refusals(mi, tmp_path, text, message):
     with pytest.raises(LumitreeError, match=message) as found:
         lumitree.load(path)
     assert "\n" not in str(found.value)
-
-
-def test_damage_is_refused_in_a_line(mi, tmp_path):
-    path, rng = tmp_path / "lamp.tm33", np.random.default_rng(0)
-    whole = tm33(table(c=[0, 90, 180, 270], gamma=[0, 45, 90])).encode()
-    refusals = 0
-    for _ in range(300):
-        path.write_bytes(damaged(whole, rng))
-        refusals += refused(lambda: read_tm33(path))
-    assert refusals > 100

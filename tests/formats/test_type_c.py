@@ -54,13 +54,6 @@ def test_frames_with_z_up_are_turned_and_not_mirrored():
     assert crossed == pytest.approx(z_up(np.cross(first, second)), abs=1e-12)
 
 
-@pytest.mark.parametrize("step", [1, 2.5, 10, 30])
-def test_hats_fill_the_sphere(step):
-    angles = node_solid_angles(Grid(step).c, Grid(step).gamma)
-    assert angles.sum() == pytest.approx(4 * np.pi)
-    assert (angles > 0).all()
-
-
 def test_solid_angles_of_uneven_nodes_by_quadrature():
     c, gamma = np.array([10.0, 40, 200, 300]), np.array([0.0, 5, 60, 61, 180])
     fine = np.deg2rad((np.arange(400_000) + 0.5) * (180 / 400_000))
@@ -135,12 +128,6 @@ def test_interpolation_at_nodes_and_its_flux(seed):
     error = found.std() / np.sqrt(found.size)
     assert abs(found.mean() - distribution.lumens) < 4.5 * error
     assert error < 0.01 * distribution.lumens
-
-
-def test_interpolation_of_one_plane_is_symmetric():
-    gamma = np.array([0.0, 90, 180])
-    distribution = IntensityDistribution("", np.array([0.0]), gamma, np.array([[2.0, 1, 0]]))
-    assert distribution.at(direction_of([0, 77, 300], [45, 45, 135])).tolist() == [1.5, 1.5, 0.5]
 
 
 @pytest.mark.parametrize("value", [-1.0, np.nan, np.inf, 1e16])

@@ -74,7 +74,7 @@ def make(rng):
         case 3 | 4:
             structure = _xml(rng, structure)
         case 5:
-            box = words.changed(box, rng, keys=(b"f", b"g", b"o", b"usemtl"))
+            box = damaged(box, rng, tokens=(b"f", b"g", b"o", b"usemtl"))
         case 6:
             photometry = photometric_texts.ldt(rng)
         case _:
@@ -190,6 +190,7 @@ READERS = (
         use_in_full=use_in_full,
         # Of what is unpacked, and of what is made of it.
         memory=3072 * MEBIBYTE,
+        in_suite=120,
         full_share=1 / 100,
     ),
 )

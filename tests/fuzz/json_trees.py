@@ -56,36 +56,24 @@ def _quoted(value):
     return value if isinstance(value, Raw) else json.dumps(value, ensure_ascii=False)
 
 
-def changed(value, rng, times=None, keys=()):
+def changed(value, rng, keys=()):
     """Tree of a value with some changes.
 
     Args:
         value: as of `json.loads`.
-        times: number of changes; 1 to 3 by default.
         keys: names of members that objects may get, with other members' values.
     """
     tree = tree_of(value)
-    if chance(rng, 0.4):
-        return _nudged(tree, rng)
-    for _ in range(int(rng.integers(1, 4)) if times is None else times):
+    # Often one value alone, and one of the same type, so that further checks are reached.
+    alike = chance(rng, 0.4)
+    for _ in range(1 if alike else int(rng.integers(1, 4))):
         slots = list(_slots(tree))
         if slots:
-            _change(rng, *pick(rng, slots), slots, keys)
-    return tree
-
-
-def _nudged(tree, rng):
-    """Tree with a number near the old one, or with another value of the same type."""
-    slots = [each for each in _slots(tree) if not isinstance(each[2][each[3]], list)]
-    if slots:
-        *_, holder, place = pick(rng, slots)
-        old = holder[place]
-        values = [each[each_place] for *_, each, each_place in slots]
-        alike = [value for value in values if type(value) is type(old)]
-        if type(old) in (int, float) and chance(rng, 0.7):
-            holder[place] = number_near(rng, old)
-        else:
-            holder[place] = pick(rng, alike)
+            outer, index, holder, place = pick(rng, slots)
+            if alike:
+                holder[place] = _alike(rng, holder[place], slots)
+            else:
+                _change(rng, outer, index, holder, place, slots, keys)
     return tree
 
 
@@ -98,29 +86,30 @@ def _slots(tree):
             yield from _slots(holder[place])
 
 
+def _alike(rng, old, slots):
+    """A number near the old one, or another value of the same type."""
+    if type(old) in (int, float) and chance(rng, 0.7):
+        return number_near(rng, old)
+    values = [holder[place] for *_, holder, place in slots]
+    return copy.deepcopy(pick(rng, [each for each in values if type(each) is type(old)]))
+
+
 def _change(rng, outer, index, holder, place, slots, keys):
     old = holder[place]
-    match int(rng.integers(10)):
+    match int(rng.integers(9)):
         case 0:
             del outer[index]
         case 1:
             outer.insert(int(rng.integers(len(outer) + 1)), copy.deepcopy(outer[index]))
         case 2:
-            # What stands elsewhere in the file.
             *_, other, there = pick(rng, slots)
             holder[place] = copy.deepcopy(other[there])
         case 3 if isinstance(outer, Members):
             name = pick(rng, keys) if keys and chance(rng, 0.6) else text(rng)
-            if chance(rng, 0.5):
-                holder[0] = name
-            else:
-                outer.append([name, copy.deepcopy(old)])
-        case 4:
-            holder[place] = pick(rng, ([old], Members([["a", old]]), [], Members(), None, True))
-        case 5 if isinstance(old, list) and old:
-            part = copy.deepcopy(old[: max(1, int(rng.integers(len(old) + 1)))])
-            old.extend(part * pick(rng, (1, 1, 2, 30)))
-        case 6 if chance(rng, 0.2):
+            outer.append([name, copy.deepcopy(old)])
+        case 4 if isinstance(old, list) and old:
+            old.extend(copy.deepcopy(old) * pick(rng, (1, 1, 2, 30)))
+        case 5 if chance(rng, 0.2):
             holder[place] = pick(rng, DEEP)
         case _:
             holder[place] = _wrong(rng, old)

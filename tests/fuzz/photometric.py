@@ -29,10 +29,8 @@ def _text(make, name):
 
     def made(rng):
         content = make(rng)
-        if chance(rng, 0.15):
+        if chance(rng, 0.3):
             content = damaged(content, rng)
-        elif chance(rng, 0.2):
-            content = words.changed(content, rng)
         return {name: content}
 
     return made

@@ -1,60 +1,8 @@
-"""Texts of words and lines, and bytes, with some changes."""
+"""Bytes and arrays with some changes."""
 
 import numpy as np
 
-from fuzz.values import chance, pick, text, token
-
-
-def changed(content, rng, times=None, separators=(b" ",), keys=()):
-    """Text with some of its words and lines changed.
-
-    Args:
-        separators: of words on a line.
-        keys: words that may replace others.
-    """
-    for _ in range(int(rng.integers(1, 4)) if times is None else times):
-        content = _change(content, rng, separators, keys)
-    return content
-
-
-def _change(content, rng, separators, keys):
-    lines = content.split(b"\n")
-    at = int(rng.integers(len(lines)))
-    match int(rng.integers(9)):
-        case 0:
-            del lines[at]
-        case 1:
-            lines.insert(int(rng.integers(len(lines) + 1)), lines[at])
-        case 2:
-            other = int(rng.integers(len(lines)))
-            lines[at], lines[other] = lines[other], lines[at]
-        case 3 if chance(rng, 0.3):
-            lines[at:at] = [lines[at]] * pick(rng, (10, 300))
-        case 4 if chance(rng, 0.3):
-            lines = lines[:at]
-        case _:
-            lines[at] = _with_word(lines[at], rng, separators, keys)
-    return b"\n".join(lines)
-
-
-def _with_word(line, rng, separators, keys):
-    separator = pick(rng, separators)
-    words = line.split(separator)
-    place = int(rng.integers(len(words)))
-    kind = int(rng.integers(8))
-    if kind == 0:
-        del words[place]
-    elif kind == 1:
-        words.insert(place, words[place])
-    elif kind == 2:
-        words[place] = text(rng).encode("utf-8", "surrogatepass")
-    elif kind == 3 and keys:
-        words[place] = pick(rng, keys)
-    elif kind == 4 and chance(rng, 0.3):
-        words *= 50
-    else:
-        words[place] = token(rng, words[place].decode("latin-1")).encode()
-    return separator.join(words)
+from fuzz.values import pick
 
 
 def flipped(content, rng):

@@ -7,7 +7,6 @@ import pytest
 
 from lumitree.core.photometry import (
     WAVELENGTHS,
-    blackbody_colour,
     blackbody_radiance,
     blackbody_spectrum,
     luminance,
@@ -25,12 +24,6 @@ BODY = (
 def test_platinum_at_its_freezing_point_has_60_candela_per_square_centimetre(mi):
     """By which the candela was defined from 1948 to 1979."""
     assert luminance(blackbody_radiance(2042.0)) == pytest.approx(60e4, rel=0.01)
-
-
-@pytest.mark.parametrize("temperature", [1500.0, 2700, 6500, 15000])
-def test_its_colour_is_that_of_its_temperature(mi, temperature):
-    found = np.array(blackbody_radiance(temperature))
-    assert found / (luminance(found) / 683) == pytest.approx(blackbody_colour(temperature), 1e-5)
 
 
 def test_wavelengths_add_up(mi):

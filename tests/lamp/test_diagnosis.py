@@ -105,22 +105,6 @@ def test_faults_within_one_mesh(faults, tmp_path):
     assert "'holed' is a dielectric, but not closed" in found
 
 
-def test_winding_does_not_matter_where_normals_say_what_is_outside(faults, tmp_path):
-    """Mitsuba's dielectric goes by the shading normal; files exist whose faces disagree with it."""
-    ball = trimesh.creation.icosphere(3)
-    turned = trimesh.Trimesh(
-        ball.vertices, ball.faces[:, ::-1], vertex_normals=ball.vertices, process=False
-    )
-    assert turned.volume < 0
-    turned.export(tmp_path / "turned.ply", vertex_normal=True)
-    shape = (
-        f'<shape type="ply" id="a"><string name="filename" value="turned.ply"/>{{}}{GLASS}</shape>'
-    )
-    assert faults(shape.format("")) == []
-    (found,) = faults(shape.format('<boolean name="face_normals" value="true"/>'))
-    assert "inside out" in found
-
-
 def test_crossings_give_the_mean_chords_of_a_cube_and_a_ball(mi):
     """Volume / projected area, along every direction: for a mesh and for a shape that is none."""
     glass = {"bsdf": {"type": "dielectric"}}

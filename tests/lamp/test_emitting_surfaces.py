@@ -15,19 +15,6 @@ QUARTER = np.zeros((16, 16, 3), np.float32)
 QUARTER[:8, :8] = 1
 
 
-def textured(mi, pixels=QUARTER, **options):
-    return {
-        "type": "area",
-        "radiance": {
-            "type": "bitmap",
-            "bitmap": mi.Bitmap(pixels),
-            "raw": True,
-            "filter_type": "nearest",
-            **options,
-        },
-    }
-
-
 def quads(mi, path, *corners_and_uv):
     """A PLY file of quads [4, 3] with texture coordinates [4, 2], as an emitter's shape."""
     points = np.concatenate([points for points, _ in corners_and_uv])
@@ -89,8 +76,6 @@ def test_points_are_uniform_by_area_and_have_the_interaction_of_a_ray(mi):
 PLACED = {
     "once": (UNIT, 0.25),
     "tiled": (3 * UNIT, 0.25),
-    "negative": (UNIT - 5, 0.25),
-    "a part": (UNIT / 2, 1.0),
     "mirrored": (UNIT * [-1, 1], 0.25),
     "one texel": (WHITE, 1.0),
     "a line": (UNIT * [1, 0] + [0, 0.25], 0.5),
@@ -132,19 +117,6 @@ def test_faces_that_share_coordinates_emit_each(mi, tmp_path):
     assert bare_watts(lamp) == pytest.approx(3 * np.pi / 4, rel=0.02)
     seen = flux_by_camera_paths(lamp, 1 << 20)
     assert (np.abs(seen.watts - bare_watts(lamp)) < 4 * np.array(seen.watts_error)).all()
-
-
-def test_a_small_spot_on_a_large_face_is_found(mi, tmp_path):
-    """One texel of 256² of a square of two triangles."""
-    pixels = np.zeros((256, 256, 3), np.float32)
-    pixels[40, 171] = 1e4
-    mi.Bitmap(pixels).write(str(tmp_path / "spot.exr"))
-    radiance = {"type": "bitmap", "filename": str(tmp_path / "spot.exr"), "raw": True}
-    emitter = {"type": "area", "radiance": {**radiance, "filter_type": "nearest"}}
-    shape = quads(mi, tmp_path / "quad.ply", (quad([0, 0, 0]), UNIT))
-    lamp = load_luminaire({**shape, "emitter": emitter})
-    # By uniform sampling 2 of 131,072 points would be on it.
-    assert bare_watts(lamp) == pytest.approx(np.pi * 1e4 / 256**2, rel=0.03)
 
 
 def test_a_transform_of_coordinates_moves_the_light(mi, tmp_path):
@@ -208,7 +180,7 @@ def lumitree_scene(described):
     return load_room(described)[0]
 
 
-@pytest.mark.parametrize("integrator", ["path", "volpath", "lumitree_path", "ptracer"])
+@pytest.mark.parametrize("integrator", ["path", "lumitree_path"])
 def test_emitter_sampling_finds_what_rays_find_by_chance(mi, tmp_path, integrator):
     """Faces on one patch, which face down: `prb_basic` samples no emitters."""
     down = np.array([1.0, -1.0, -1.0])
@@ -216,6 +188,6 @@ def test_emitter_sampling_finds_what_rays_find_by_chance(mi, tmp_path, integrato
     lamp = {"lamp": image_lamp(mi, tmp_path, *patches)}
     lumitree.register()
     chance, error = irradiance(mi, lamp, "prb_basic", 2048)
-    found, other = irradiance(mi, lamp, integrator, 4096 if integrator == "ptracer" else 256)
+    found, other = irradiance(mi, lamp, integrator, 256)
     assert other < 0.02 * found
     assert abs(found - chance) < 4 * np.hypot(error, other)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from lumitree.core.backend import load_mitsuba
-from lumitree.core.photometry import luminance
 from lumitree.lamp.builtin.registry import BUILTIN
 from lumitree.lamp.figures import figures
 from lumitree.lamp.loading import load_luminaire
@@ -12,9 +11,7 @@ from lumitree.lamp.meshes import Mesh
 from lumitree.lamp.parts import (
     Diffuse,
     Geometry,
-    Glass,
     Material,
-    Medium,
     Part,
     Texture,
     VertexColour,
@@ -65,13 +62,3 @@ def test_copies_count_and_stretch_the_box():
 )
 def test_largest_radiance_of_textures(radiance, largest):
     assert figures(lamp(radiance)).emitted_radiance == pytest.approx(largest, rel=1e-4)
-
-
-def test_media():
-    assert figures(lamp(None, Glass(medium=Medium((1.0, 1.0, 1.0))))).has_media
-    assert not figures(lamp(None, Glass())).has_media
-
-
-def test_a_watt_of_white_is_683_lumens():
-    assert luminance([1, 1, 1]) == pytest.approx(683)
-    assert luminance([[0, 1, 0], [0, 0, 2]]) == pytest.approx([683 * 0.7152, 683 * 0.1444])

@@ -77,8 +77,10 @@ def test_what_several_materials_share_is_made_once(monkeypatch):
         emission.of(Material("c", Diffuse(), (2.0, 1.0, 1.0), mask))
 
 
-@pytest.mark.parametrize("wrap", ["repeat", "mirror", "clamp"])
-@pytest.mark.parametrize(("scale", "shift"), [(1.0, 0.0), (2.0, 0.0), (1.0, 0.25), (0.5, -0.75)])
+@pytest.mark.parametrize(
+    ("wrap", "scale", "shift"),
+    [("repeat", 2.0, 0.0), ("repeat", 1.0, 0.25), ("mirror", 0.5, -0.75), ("clamp", 2.0, 0.0)],
+)
 def test_the_opacity_of_faces_is_that_of_their_points(wrap, scale, shift):
     """Against the mean over many random points of the square."""
     transform = np.array([[scale, 0, shift], [0, 1, 0], [0, 0, 1]])

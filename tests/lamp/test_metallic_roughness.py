@@ -12,7 +12,6 @@ from lumitree.lamp.meshes import lathe
 from lumitree.lamp.metallic_roughness import register_metallic_roughness
 from lumitree.rendering.plugins.geometry_materials import Materials
 from support.gltf_builder import Gltf
-from support.slow import slow
 
 COSINES = (0.1, 0.35, 0.7, 1.0)
 COLOUR = (1.0, 0.6, 0.1)
@@ -109,7 +108,7 @@ def expected(base, metallic, roughness, transmission, cosine):
     return metallic * metal + (1 - metallic) * dielectric, part * crossed
 
 
-@pytest.mark.parametrize("roughness", [0.15, 0.5, 1.0])
+@pytest.mark.parametrize("roughness", [0.15, 1.0])
 def test_the_albedo_is_that_of_the_specification(mi, made, roughness):
     for metallic, transmission in itertools.product((0.0, 0.5, 1.0), (0.0, 0.5, 1.0)):
         surface = {"metallic": metallic, "spec_trans": transmission, "thin": True}
@@ -126,7 +125,7 @@ def test_the_albedo_is_that_of_the_specification(mi, made, roughness):
                 assert values == pytest.approx(right, rel=0.01, abs=slack), (surface, cosine, base)
 
 
-@pytest.mark.parametrize("roughness", [0.0, 0.2, 0.6, 1.0])
+@pytest.mark.parametrize("roughness", [0.0, 0.6])
 @pytest.mark.parametrize(
     "surface",
     [
@@ -147,23 +146,6 @@ def test_a_white_surface_loses_nothing_and_gains_nothing(mi, made, surface, roug
     assert (off <= 0.003 + 4 * error).all(), off.max()
 
 
-@pytest.mark.parametrize("surface", [{"clearcoat": 1.0}, {"sheen": 1.0}, {"anisotropic": 0.9}])
-def test_further_layers_create_no_light(mi, made, surface):
-    for metallic, roughness in itertools.product((0.0, 1.0), (0.1, 0.6)):
-        bsdf = made((1, 1, 1), metallic=metallic, roughness=roughness, **surface)
-        reflected, _, error = albedo(mi, bsdf, np.repeat(COSINES, 12), COUNT // 8)
-        # Stretched highlights are compensated as round ones, so their directions differ.
-        assert (reflected <= 1.03 + 4 * error).all()
-        means = reflected.reshape(len(COSINES), 12, 3).mean(axis=1)
-        assert (means <= 1.005 + 4 * error.max()).all()
-        assert (means >= 0.75).all()
-
-
-def test_sheen_of_a_black_base_is_sampled(mi, made):
-    found = [albedo(mi, made((0, 0, 0), sheen=sheen), [0.1])[0] for sheen in (0.0, 1.0)]
-    assert (found[1] > found[0] + 0.05).all()
-
-
 @pytest.mark.parametrize("name", SURFACES)
 def test_it_is_reciprocal(mi, made, name):
     """Light paths, which have the mode for importance, find what camera paths find."""
@@ -176,17 +158,6 @@ def test_it_is_reciprocal(mi, made, name):
     found = np.array(camera) / np.abs(second), np.array(light) / np.abs(first)
     assert found[0] == pytest.approx(found[1], rel=2e-3, abs=1e-5)
     assert (found[0] > 0).any()
-
-
-@pytest.mark.parametrize("mode", ["Radiance", "Importance"])
-def test_reflections_are_the_same_in_both_directions_of_transport(mi, made, mode):
-    for surface in SURFACES.values():
-        context = mi.BSDFContext(getattr(mi.TransportMode, mode))
-        si, out = seen_at(mi, [0.3, 0.9]), mi.Vector3f(0.36, 0.48, 0.8)
-        bsdf = made(**surface)
-        value, pdf = bsdf.eval_pdf(context, si, out)
-        assert np.array(value) == pytest.approx(np.array(bsdf.eval(mi.BSDFContext(), si, out)))
-        assert np.array(pdf) == pytest.approx(np.array(bsdf.pdf(mi.BSDFContext(), si, out)))
 
 
 @pytest.mark.parametrize("name", SURFACES)
@@ -240,53 +211,9 @@ def test_values_are_the_weights_times_the_density(mi, made, name):
     assert (np.array(weight) >= 0).all()
 
 
-def test_lobes_that_are_left_out_take_no_samples(mi, made):
-    """`straight_through` follows transmissions alone."""
-    context = mi.BSDFContext()
-    context.type_mask = mi.BSDFFlags.Transmission
-    sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(3, 1 << 15)
-    si = seen_at(mi, np.full(1 << 15, 0.7))
-    for surface in ("sheet", "frosted", "plastic"):
-        bsdf = made(**SURFACES[surface])
-        bs, weight = bsdf.sample(context, si, sampler.next_1d(), sampler.next_2d())
-        weight, below = np.array(weight), np.array(bs.wo.z) < 0
-        assert (weight[:, ~below] == 0).all()
-        _, transmitted, error = albedo(mi, bsdf, [0.7], importance=False)
-        assert weight.mean(axis=1) == pytest.approx(transmitted[0], abs=6 * error.max() + 1e-6)
-
-
-@pytest.mark.slow
-def test_all_its_parameters_have_finite_values(mi, made):
-    extremes = {"eta": (1.001, 10.0), "thin": (True,), "diff_trans": (2.0,)}
-    names = ("metallic", "roughness", "anisotropic", "specular", "spec_trans", "clearcoat", "sheen")
-    extremes |= dict.fromkeys((*names, "clearcoat_roughness"), (0.0, 1.0))
-    cosines, choices = [1e-6, 1e-3, 0.5, 1.0, -1e-3, -1.0], [0.01, 0.5, 0.99]
-    si = seen_at(mi, np.repeat(cosines, 3))
-    choice = on_device(mi.Float, np.tile(choices, 6))
-    for (name, values), thin in itertools.product(extremes.items(), (False, True)):
-        for value in values:
-            surface = {"thin": thin, "spec_trans": 0.5, "clearcoat": 0.5, name: value}
-            bsdf = made((1, 0, 0.5), **surface)
-            bs, weight = bsdf.sample(mi.BSDFContext(), si, choice, mi.Point2f(0.3, 0.8))
-            for each in (np.array(bs.pdf), np.array(weight)):
-                assert np.isfinite(each).all(), surface
-                assert (each >= 0).all(), surface
-
-
-@pytest.mark.parametrize(
-    "core",
-    [
-        {"metallicFactor": 0, "roughnessFactor": 0.5},
-        {"metallicFactor": 1, "roughnessFactor": 1},
-        slow({"metallicFactor": 0, "roughnessFactor": 1}),
-        slow({"metallicFactor": 1, "roughnessFactor": 0.5}),
-    ],
-    ids=str,
-)
-def test_all_light_leaves_a_white_cavity(tmp_path, core):
+def test_all_light_leaves_a_white_cavity(tmp_path):
     """With nothing that absorbs, all light of a ball in a white sphere leaves by its hole."""
-    gltf = Gltf()
+    gltf, core = Gltf(), {"metallicFactor": 0, "roughnessFactor": 0.5}
     angles = np.radians(np.linspace(0, 130, 40))
     # From the top of the hole down: the normals point to the axis.
     shell = lathe(np.stack([np.sin(angles), -np.cos(angles)], axis=1)[::-1], 48)

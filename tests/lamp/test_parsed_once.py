@@ -45,13 +45,6 @@ def test_a_lamp_and_its_geometry(calls, tmp_path):
     assert calls == {"parse_file": 1, "instantiate": 1}
 
 
-def test_a_far_lamp(calls, tmp_path):
-    lamp = load_luminaire(write(tmp_path, "1e6,1,0"))
-    np.testing.assert_allclose(lamp.origin, [1e6, 1, 0])
-    stored_geometry(lamp)
-    assert calls == {"parse_file": 1, "instantiate": 1}
-
-
 def test_places_do_not_change_the_lamp(calls, tmp_path):
     lamp = load_luminaire(write(tmp_path, "1,0,0"))
     doubled, moved = np.diag([2.0, 2, 2, 1]), np.eye(4)

@@ -4,11 +4,8 @@ import numpy as np
 import pytest
 
 from lumitree.core.photometry import (
-    blackbody_colour,
     colour_temperature,
     flux_from_radiance,
-    luminance,
-    radiance_from_flux,
     srgb_from_xyz,
     xyz_from_srgb,
 )
@@ -22,35 +19,10 @@ XYZ_FROM_SRGB = np.array(
 )
 
 
-@pytest.mark.parametrize(
-    ("temperature", "x", "y"),
-    # CIE illuminant A, and points of the Planckian locus (Wyszecki and Stiles).
-    [(2856, 0.4476, 0.4074), (2000, 0.5267, 0.4133), (4000, 0.3805, 0.3768)],
-)
-def test_blackbody_chromaticity(mi, temperature, x, y):
-    xyz = XYZ_FROM_SRGB @ blackbody_colour(temperature)
-    assert xyz[:2] / xyz.sum() == pytest.approx([x, y], abs=1e-3)
-
-
-def test_blackbody_luminance_and_order(mi):
-    colours = np.array([blackbody_colour(kelvin) for kelvin in (1000, 2700, 6500, 20000)])
-    assert (colours >= 0).all()
-    for colour in colours:
-        assert luminance(colour) == pytest.approx(683)
-    blue_over_red = colours[:, 2] / colours[:, 0]
-    assert (np.diff(blue_over_red) > 0).all()
-
-
 def test_flux_of_a_known_surface():
     # 1 m² of 1 cd/m² sends out pi lm, and 683 cd/m² is a radiance of 1.
     assert flux_from_radiance((1, 1, 1), 1.0) == pytest.approx(683 * np.pi)
     assert flux_from_radiance((0, 1, 0), 2.0) == pytest.approx(683 * np.pi * 2 * 0.7152)
-
-
-def test_flux_and_back():
-    radiance = radiance_from_flux(800.0, 0.03, (2.0, 0.8, 0.1))
-    assert flux_from_radiance(radiance, 0.03) == pytest.approx(800)
-    assert radiance[0] / radiance[2] == pytest.approx(20)
 
 
 def test_xyz_there_and_back():
@@ -82,15 +54,6 @@ def test_colour_temperature_and_duv(mi, x, y, temperature, duv):
     found = colour_temperature(7 * rgb)
     assert found[0] == pytest.approx(temperature, rel=5e-4)
     assert found[1] == pytest.approx(duv, abs=5e-6)
-
-
-@pytest.mark.parametrize("temperature", [1500, 2700, 4000, 6500, 15000])
-def test_colour_temperature_of_a_black_body(mi, temperature):
-    rgb = blackbody_colour(temperature)
-    if min(rgb) > 0:
-        found = colour_temperature(rgb)
-        assert found[0] == pytest.approx(temperature, rel=1e-3)
-        assert found[1] == pytest.approx(0, abs=1e-5)
 
 
 def test_colours_without_a_temperature(mi):

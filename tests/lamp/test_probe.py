@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lumitree.errors import LumitreeError, LumitreeWarning
+from lumitree.errors import LumitreeError
 from lumitree.lamp.loading import load_luminaire
 from support.lamps import AREA, cube, lamp_of, scene, sphere
 
@@ -11,10 +11,6 @@ CHECKER = '<texture type="checkerboard" name="{}"/>'
 GREY = (
     '<texture type="bitmap" name="{}"><string name="filename" value="grey.png"/>'
     '<boolean name="raw" value="true"/></texture>'
-)
-ATTRIBUTE = (
-    '<texture type="mesh_attribute" name="reflectance"><string name="name" value="vertex_color"/>'
-    "</texture>"
 )
 CURVE = '<shape type="{}" id="wire"><string name="filename" value="curve.txt"/>' + AREA + "</shape>"
 BULB = sphere("bulb", 0.1, inside=AREA)
@@ -101,17 +97,6 @@ def test_scenes_and_dictionaries_are_tried_too(mi):
         load_luminaire(made)
 
 
-def test_the_command_line_says_it_in_a_line(folder, capsys):
-    from lumitree.cli.app import main
-
-    (folder / "lamp.xml").write_text(scene(*FAULTY["curve"][0]))
-    assert main(["preview", str(folder / "lamp.xml"), "-o", str(folder / "sheet.png")]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("lumitree: error: ")
-    assert error.count("\n") == 1
-    assert "'wire'" in error
-
-
 @pytest.mark.parametrize(
     ("element", "expected"),
     [
@@ -127,20 +112,6 @@ def test_rooms_are_tried_too(folder, element, expected):
 
     (folder / "room.xml").write_text(scene('<sensor type="perspective"/>', BULB, element))
     with pytest.raises(LumitreeError, match=expected):
-        load_scene(str(folder / "room.xml"))
-
-
-def test_attributes_that_a_shape_lacks_are_named(folder):
-    with pytest.warns(LumitreeWarning, match="lamp: shape 'box' has no attribute 'vertex_color'"):
-        lamp_of(folder, BULB, cube("box", 1, inside=f'<bsdf type="diffuse">{ATTRIBUTE}</bsdf>'))
-
-
-def test_an_area_emitter_of_a_room_that_emits_nothing_is_said(folder):
-    from lumitree.rendering.scene import load_scene
-
-    room = scene('<integrator type="path"/><sensor type="perspective"/>', BULB, AREA)
-    (folder / "room.xml").write_text(room)
-    with pytest.warns(LumitreeWarning, match="area emitter outside of a shape emits nothing"):
         load_scene(str(folder / "room.xml"))
 
 

@@ -8,10 +8,8 @@ import pytest
 
 from lumitree.core.device import on_device
 from lumitree.errors import LumitreeError
-from lumitree.lamp.loading import load_luminaire
 from lumitree.lamp.scene_file import SceneFile
 from lumitree.lamp.scene_shapes import build_again, reusable_shapes, shape_groups
-from lumitree.lamp.source import LuminaireSource
 from support.lamps import AREA, cube, scene, sphere
 
 BARE = f'<shape type="sphere">{AREA}</shape>'
@@ -73,37 +71,6 @@ def test_a_pattern_without_a_match_lists_what_there_is(room, pattern):
         SceneFile(room, [pattern])
     assert ", ".join(LISTED) in str(caught.value)
     assert f"'lumitree preview {room} --keep \"*\"' lists" in str(caught.value)
-
-
-def test_bsdfs_that_are_shared_many_times_are_listed_once(mi, tmp_path):
-    """Each holds the one before it twice: 2^14 ways lead to the first."""
-    bsdfs = ['<bsdf type="diffuse" id="b0"/>']
-    for i in range(1, 14):
-        held = f'<ref id="b{i - 1}" name="x"/><ref id="b{i - 1}" name="y"/>'
-        bsdfs.append(
-            f'<bsdf type="blendbsdf" id="b{i}"><float name="weight" value="0.5"/>{held}</bsdf>'
-        )
-    shapes = [sphere(f"s{i}", 1, inside='<ref id="b13"/>') for i in range(20)]
-    (tmp_path / "lamp.xml").write_text(scene(*bsdfs, *shapes))
-    found = SceneFile(tmp_path / "lamp.xml").shapes
-    assert len(found) == 20
-    assert sorted(found[0].materials) == sorted(f"b{i}" for i in range(14))
-
-
-def test_a_lamp_in_a_room_without_ids_can_be_taken(room):
-    with pytest.raises(LumitreeError, match="--keep only the lamp's shapes: #0 - "):
-        load_luminaire(room)
-    lamp = load_luminaire(LuminaireSource(str(room), keep=("#0",)))
-    assert [str(shape) for shape in lamp.shapes] == [LISTED[0]]
-    assert lamp.num_emitters == 1
-
-
-def test_parts_of_models_are_chosen_by_name_alone(mi):
-    lamp = load_luminaire(LuminaireSource("bulbs", drop=("frame_*",)))
-    assert {shape.number for shape in lamp.shapes} == {None}
-    assert "filament" in {name for shape in lamp.shapes for name in shape.materials}
-    with pytest.raises(LumitreeError, match="'#0' matches no part or material; there are"):
-        load_luminaire(LuminaireSource("bulbs", keep=("#0",)))
 
 
 def test_preview_prints_and_returns_them(mi, tmp_path, capsys):

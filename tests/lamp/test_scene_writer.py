@@ -58,12 +58,6 @@ def reflectance(mi, scene, x, y):
     return np.array(si.bsdf().eval_diffuse_reflectance(si)).ravel()
 
 
-def test_vertex_colours_come_back(mi, tmp_path):
-    scene = written(mi, tmp_path, Diffuse(VertexColour()))
-    np.testing.assert_allclose(reflectance(mi, scene, 0, 0), (0.5, 0, 0.5), atol=1e-6)
-    np.testing.assert_allclose(reflectance(mi, scene, 0.99, -0.99), (0, 1, 0), atol=0.011)
-
-
 @pytest.mark.parametrize("coordinates", [True, False])
 def test_masked_emitters_emit_where_they_are(mi, tmp_path, coordinates):
     """Those of meshes without texture coordinates as their mask is at (0, 0)."""
@@ -126,63 +120,12 @@ def test_the_first_row_is_at_v_0_and_values_are_decoded(mi, tmp_path, encoded, v
         np.testing.assert_allclose(reflectance(mi, scene, x, y), expected, atol=1e-3)
 
 
-def test_texture_transforms_map_the_meshs_coordinates_to_the_images(mi, tmp_path):
-    shift = np.eye(3)
-    shift[0, 2] = 0.5
-    moved = dataclasses.replace(corners(True), uv_transform=shift)
-    scene = written(mi, tmp_path, Diffuse(moved))
-    assert reflectance(mi, scene, -0.5, 0.5).argmax() == 1
-    clamped = dataclasses.replace(moved, wrap="clamp")
-    assert reflectance(mi, written(mi, tmp_path, Diffuse(clamped)), 0.5, 0.5).argmax() == 1
-    repeated = reflectance(mi, written(mi, tmp_path, Diffuse(moved)), 0.5, 0.5)
-    assert repeated.argmax() == 0
-
-
-def test_radiance_textures_go_beyond_1(mi, tmp_path):
-    pixels = np.full((2, 2, 3), (40, 20, 2.5), np.float32)
-    scene = written(mi, tmp_path, Diffuse(), radiance=Texture(pixels, False))
-    si = hit(mi, scene, 0.2, 0.2)
-    emitted = np.array(si.emitter(scene).eval(si)).ravel()
-    np.testing.assert_allclose(emitted, (40, 20, 2.5), rtol=1e-3)
-    behind = hit(mi, scene, 0.2, 0.2, side=-1.0)
-    assert not np.array(behind.emitter(scene).eval(behind)).any()
-
-
-def scattered(mi, scene, side=1.0):
-    """BSDF value for light and eye 30° apart on the same side."""
-    si = hit(mi, scene, 0.1, 0.2, side)
-    wo = si.to_local(mi.Vector3f(0.5, 0.0, side * float(np.sqrt(0.75))))
-    return np.array(si.bsdf().eval(mi.BSDFContext(), si, wo)).ravel()
-
-
-@pytest.mark.parametrize("bumpy", [False, True])
-@pytest.mark.parametrize("opacity", [1.0, 0.25])
-@pytest.mark.parametrize("two_sided", [False, True])
-def test_layers_nest(mi, tmp_path, bumpy, opacity, two_sided):
-    """Mask over two-sidedness over normals: each does its part whatever the others are."""
-    surface = Diffuse((0.5, 0.5, 0.5))
-    fields = {"opacity": opacity, "two_sided": two_sided}
-    if bumpy:
-        fields["normal_map"] = FLAT
-    scene = written(mi, tmp_path, surface, **fields)
-    expected = opacity * 0.5 / np.pi * np.sqrt(0.75)
-    np.testing.assert_allclose(scattered(mi, scene), expected, rtol=0.01)
-    behind = scattered(mi, scene, -1.0)
-    np.testing.assert_allclose(behind, expected if two_sided else 0, rtol=0.01)
-    si = hit(mi, scene, 0.1, 0.2)
-    through = np.array(si.bsdf().eval_null_transmission(si)).ravel()
-    np.testing.assert_allclose(through, 1 - opacity, atol=1e-6)
-
-
 @pytest.mark.parametrize(
     "surface",
     [
-        Glass(),
         Glass(tint=(1, 0.5, 0.2), roughness=0.3),
         Glass(thin=True),
         Metal((0.9, 0.8, 0.7), 0.2, "Au"),
-        Metal(),
-        Principled(transmission=0.5, metallic=0.2, clearcoat=0.5),
         Principled(thin=True, diffuse_transmission=1.0),
         Principled(VertexColour(), roughness=Texture(np.full((2, 2, 1), 99, np.uint8), False)),
     ],
@@ -211,14 +154,6 @@ def test_copies_share_a_mesh_and_stand_in_their_places(mi, tmp_path):
     np.testing.assert_allclose(np.ravel(scene.bbox().max), (4.5, 0.5, 0), atol=1e-6)
 
 
-def test_a_texture_that_is_used_twice_is_written_once(mi, tmp_path):
-    written(mi, tmp_path, Diffuse(corners(True)), radiance=corners(True))
-    assert len(list((tmp_path / "textures").iterdir())) == 2
-    shared = corners(True)
-    written(mi, tmp_path / "shared", Diffuse(shared), radiance=shared)
-    assert len(list((tmp_path / "shared" / "textures").iterdir())) == 1
-
-
 def test_media_have_their_coefficients(mi, tmp_path):
     medium = Medium((2.0, 0.5, 0.0), (0.0, 1.5, 0.25), 0.3)
     scene = written(mi, tmp_path, Glass(medium=medium))
@@ -243,9 +178,3 @@ def test_names_of_copies_materials_and_parts_do_not_collide(tmp_path):
     scene = write_scene(Geometry(parts, (Material("bulb", grey),)), tmp_path)
     names = [shape.name for shape in SceneFile(scene).shapes]
     assert names == ["crystal_1_2", "crystal_2_2", "crystal_2", "crystal_1", "material_bulb_2"]
-
-
-@pytest.mark.parametrize("surface", [Metal(roughness=0.005), Glass(roughness=0.005)])
-def test_surfaces_smoother_than_an_asset_holds_are_smooth(mi, tmp_path, surface):
-    scene = written(mi, tmp_path, surface)
-    assert scene.shapes()[0].bsdf().class_name() in ("SmoothConductor", "SmoothDielectric")

@@ -41,21 +41,6 @@ def test_scenes_name_meshes_spectra_and_other_scenes():
     assert found == {"lamp.xml", "mesh/triangle.obj", "inner.xml", "light.spd"}
 
 
-def test_a_spectrum_with_the_name_of_a_file_name():
-    """Mitsuba ignores it; its file is still one of the scene's."""
-    odd = SPECTRUM.replace('name="radiance"', 'name="filename"')
-    assert files(scene(sphere("a", 1, inside=odd))) == {"lamp.xml", "light.spd"}
-
-
-def test_a_scene_that_is_included_belongs_to_the_fingerprint(folder):
-    fingerprints = []
-    for radius in (0.1, 0.2):
-        (folder / "inner.xml").write_text(scene(sphere("inner", radius, inside=AREA)))
-        (folder / "lamp.xml").write_text(scene('<include filename="inner.xml"/>'))
-        fingerprints.append(load_luminaire("lamp.xml").fingerprint)
-    assert fingerprints[0] != fingerprints[1]
-
-
 @pytest.mark.parametrize(
     "includes",
     [

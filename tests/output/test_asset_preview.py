@@ -9,10 +9,7 @@ from PIL import Image
 import lumitree
 from lumitree.asset.asset import light_field_asset
 from lumitree.cli import main
-from lumitree.lamp.stored_geometry import stored_geometry
 from support.fields import uniform_asset
-from support.geometry_assets import with_geometry
-from support.lamps import AREA, cube, lamp_of
 from support.light_fields import random_light_field
 
 
@@ -69,25 +66,3 @@ def test_figures_and_sheet_of_an_asset(tmp_path, monkeypatch, mi, capsys):
     assert "lumens" in capsys.readouterr().out
     assert main(["preview", "lamp.lumitree", "-o", "sheet.png", "--bounces"]) == 2
     assert "an asset has no paths" in capsys.readouterr().err
-
-
-def test_geometry_is_shown_as_the_luminaire_is(mi, tmp_path):
-    """Each view is that of the luminaire's own preview, and its opacity the geometric one."""
-    from lumitree.output.preview_sheet import take_asset_preview, take_preview
-
-    shapes = (
-        cube("left", (0.2, 0.3, 0.1), (-0.6, 0.2, 0.1), AREA),
-        cube("right", (0.1, 0.1, 0.4), (0.5, -0.3, 0.2)),
-    )
-    lamp = lamp_of(tmp_path, *shapes)
-    # The light of the asset is another one, and is not seen.
-    asset = with_geometry(stored_geometry(lamp), lamp.frame)
-    ours, theirs = take_asset_preview(asset, 24, 256), take_preview(lamp, 24, 256)
-    assert list(ours.images) == list(theirs.images)
-    for name, image in ours.images.items():
-        expected = theirs.images[name]
-        bright = expected.radiance.max()
-        # Pixels at edges have noise of both: 256 samples, so at most 1/32 of the contrast each.
-        assert np.abs(image.geometric - expected.geometric).max() < 0.25, name
-        assert np.abs(image.radiance - expected.radiance).max() < 0.25 * bright, name
-        assert image.geometric.mean() == pytest.approx(expected.geometric.mean(), abs=0.005)

@@ -53,13 +53,6 @@ def test_a_light_stands_at_the_centroid_of_flux():
     np.testing.assert_allclose(lights.position, expected, atol=2e-3)
 
 
-def test_equal_seeds_give_equal_lights():
-    field = random_light_field(3, depth=5, count=300)
-    first, second = (lights_of(field, 9, seed=4) for _ in range(2))
-    assert np.array_equal(first.position, second.position)
-    assert np.array_equal(first.intensity, second.intensity)
-
-
 def test_clusters_are_those_of_scipy():
     from scipy.cluster.vq import kmeans2
 
@@ -92,33 +85,3 @@ def test_lights_that_a_gain_makes_black_are_left_out():
     np.testing.assert_allclose(red.watts, [[8 * np.pi, 0, 0]], rtol=1e-2)
     with pytest.raises(LumitreeError, match="sends no light, because its gain is"):
         place_lights(dataclasses.replace(asset, gain=(0.0, 1.0, 0.0)), np.eye(3), 2)
-
-
-def two_groups():
-    """Two groups of 8 cells to the left and right, one brighter, both brighter upwards."""
-    random = np.random.default_rng(7)
-    offsets = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1]), axis=-1).reshape(-1, 3)
-    cells = np.concatenate([offsets + np.array(start) for start in ((2, 7, 7), (12, 7, 7))])
-    intensity = random.uniform(0.5, 1.5, (16, 64, 3))
-    intensity[:8] *= 3
-    return make_light_field(cells, intensity, 4)
-
-
-def test_irradiance_of_as_many_lights_as_groups_is_that_of_the_field():
-    from benchmarks.cycles.table_rays import TableRays
-    from lumitree.measure.irradiance import (
-        asset_irradiance,
-        irradiance_error,
-        rays_irradiance,
-    )
-
-    field, half = two_groups(), np.ones(3)
-    asset = light_field_asset(field, LocalFrame(half, np.eye(4)), "two")
-    reference = asset_irradiance(asset, 1 << 20)
-    errors = {}
-    for count in (1, 2):
-        rays = TableRays(lights_of(field, count))
-        errors[count] = irradiance_error(rays_irradiance(rays, half, 1 << 20, draw=2), reference)
-    assert errors[2].total_ratio == pytest.approx(1, abs=5 * errors[2].total_ratio_error + 1e-6)
-    assert errors[2].mean_rms < 0.06
-    assert errors[1].mean_rms > 2 * errors[2].mean_rms

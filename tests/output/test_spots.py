@@ -1,9 +1,6 @@
 """Exports for Blender's importers: spots with the illumination of the lamp."""
 
-import dataclasses
-import json
 import os
-import subprocess
 
 import numpy as np
 import pytest
@@ -14,7 +11,6 @@ from lumitree.asset.light_field import make_light_field
 from lumitree.cli import main
 from lumitree.core.frames import LocalFrame
 from lumitree.core.octahedral import middle_directions, solid_angles
-from support.geometry_assets import small_geometry
 
 pytestmark = pytest.mark.usefixtures("mi")
 
@@ -79,67 +75,3 @@ def test_exports_say_that_blender_makes_other_light_of_them(tmp_path, capsys):
         lumitree.LumitreeError, match=r"for .glb, .usda and .usdz, and the output is for Radiance"
     ):
         lumitree.export(lamp(), tmp_path / "lamp.rad", importer="blender")
-
-
-# Mean irradiance, W/m², of a plane of 2 m, 1 m away: by Cycles, of Blender's importers.
-SCRIPT = """
-import bpy, json, math, runpy, sys, numpy
-file, folder = sys.argv[1:]
-sys.argv = sys.argv[:1]
-found = []
-for place, turn in (((0, 0, -1), (0, 0, 0)), ((0, -1, 0), (-math.pi / 2, 0, 0))):
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    if file.endswith(".py"):
-        runpy.run_path(file, run_name="__main__")
-    elif file.endswith(".glb"):
-        bpy.ops.import_scene.gltf(filepath=file)
-    else:
-        bpy.ops.wm.usd_import(filepath=file)
-    bpy.ops.mesh.primitive_plane_add(size=2, location=place, rotation=turn)
-    material = bpy.data.materials.new("white")
-    material.use_nodes = True
-    nodes = material.node_tree.nodes
-    nodes.clear()
-    diffuse, output = nodes.new("ShaderNodeBsdfDiffuse"), nodes.new("ShaderNodeOutputMaterial")
-    diffuse.inputs[0].default_value = (1, 1, 1, 1)
-    material.node_tree.links.new(diffuse.outputs[0], output.inputs[0])
-    bpy.context.object.data.materials.append(material)
-    camera = bpy.data.cameras.new("camera")
-    camera.type, camera.ortho_scale = "ORTHO", 2
-    stand = bpy.data.objects.new("camera", camera)
-    stand.location, stand.rotation_euler = [0.9 * each for each in place], turn
-    bpy.context.collection.objects.link(stand)
-    scene = bpy.context.scene
-    scene.camera, scene.render.engine, scene.cycles.samples = stand, "CYCLES", 256
-    scene.render.resolution_x = scene.render.resolution_y = 32
-    scene.render.image_settings.file_format = "OPEN_EXR"
-    scene.render.image_settings.color_depth = "32"
-    scene.render.filepath = folder + "/plane.exr"
-    bpy.ops.render.render(write_still=True)
-    image = bpy.data.images.load(scene.render.filepath)
-    pixels = numpy.array(image.pixels[:]).reshape(-1, 4)[:, :3]
-    found.append((math.pi * pixels.mean(axis=0)).tolist())
-print("FOUND", json.dumps(found))
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not blender, reason="LUMITREE_BLENDER_PYTHON is not set")
-@pytest.mark.parametrize("suffix", [".glb", ".usda", ".usdz"])
-def test_blender_s_importers_illuminate_planes_as_the_script_does(tmp_path, suffix):
-    if suffix != ".glb":
-        pytest.importorskip("pxr", reason="the optional dependency usd is not installed")
-    asset = dataclasses.replace(lamp(), geometry=small_geometry())
-    (tmp_path / "plane.py").write_text(SCRIPT)
-    found = {}
-    for name, options in ((".py", {}), (suffix, {"importer": "blender"})):
-        path = tmp_path / f"lamp{name}"
-        lumitree.export(asset, path, unit=0.1, **options)
-        command = [str(blender), str(tmp_path / "plane.py"), str(path), str(tmp_path)]
-        environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
-        output = subprocess.run(
-            command, capture_output=True, text=True, check=True, env=environment
-        )
-        line = next(each for each in output.stdout.splitlines() if each.startswith("FOUND"))
-        found[name] = json.loads(line.removeprefix("FOUND"))
-    np.testing.assert_allclose(found[suffix], found[".py"], rtol=0.05)

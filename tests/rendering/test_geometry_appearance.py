@@ -388,6 +388,25 @@ def test_rough_surfaces_of_the_lamp_show_its_own_light(make, rr_depth):
     assert_same_expectation(ours, theirs)
 
 
+def test_rough_surfaces_of_the_lamp_get_its_light_through_its_glass(make):
+    """The table under a pane gets what it gets under thin glass."""
+    pane = cube("pane", (0.9, 0.001, 0.9), inside=GLASS)
+    sheet = (
+        '<shape type="rectangle" id="pane"><transform name="to_world"><rotate x="1" angle="90"/>'
+        '<scale value="0.9"/></transform><bsdf type="thindielectric"><float name="int_ior" '
+        'value="1.5"/><float name="ext_ior" value="1"/></bsdf></shape>'
+    )
+    place = similarity(np.eye(3), 0.4, [0, 1, 0])
+    images = []
+    for between in (pane, sheet):
+        table = cube("table", (0.9, 0.02, 0.9), (0, -0.5, 0), GREY)
+        _, asset = make(scene(sphere("filament", 0.1, (0, 0.5, 0), GLOWS), between, table))
+        objects = {"sensor": camera([0.1, 0.98, 0.3], [0.1, 0.81, 0], 30)}
+        images.append(passes(objects | baked(asset, place=place), max_depth=8))
+    assert images[0].mean() > 0.01
+    assert_same_expectation(*images)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["sphere", "cube"])
 def test_rough_surfaces_show_the_light_of_textures(mi, make, tmp_path, kind):

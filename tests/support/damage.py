@@ -12,10 +12,16 @@ TOKENS = (
 )  # fmt: skip
 
 
-def damaged(text, rng):
-    """Text with some of its bytes, words or lines changed, dropped, repeated or cut off."""
+def damaged(text, rng, separators=(b" ",), tokens=()):
+    """Text with some of its bytes, words or lines changed, dropped, repeated or cut off.
+
+    Args:
+        separators: of words on a line.
+        tokens: words of the format, which may replace others.
+    """
+    separators, tokens = (b"\n", *separators), (*TOKENS, *tokens)
     for _ in range(rng.integers(1, 4)):
-        separator = (b"\n", b" ")[rng.integers(2)]
+        separator = separators[rng.integers(len(separators))]
         pieces = text.split(separator)
         at = int(rng.integers(len(pieces)))
         match int(rng.integers(6)):
@@ -32,7 +38,7 @@ def damaged(text, rng):
             case 3:
                 pieces.insert(at, pieces[rng.integers(len(pieces))])
             case _:
-                pieces[at] = TOKENS[rng.integers(len(TOKENS))]
+                pieces[at] = tokens[rng.integers(len(tokens))]
         text = separator.join(pieces)
     return text
 

@@ -40,3 +40,20 @@ def cube(name, half, centre=(0, 0, 0), inside=""):
         f'<scale x="{x}" y="{y}" z="{z}"/><translate x="{a}" y="{b}" z="{c}"/></transform>'
         f"{inside}</shape>"
     )
+
+
+def room(width, height, more=""):
+    """Text of a scene: a floor below (0, 1, 0), seen by a camera of few pixels."""
+    return scene(
+        '<integrator type="path"><integer name="max_depth" value="4"/></integrator>'
+        '<sensor type="perspective"><transform name="to_world">'
+        '<lookat origin="0,1,6" target="0,0.5,0" up="0,1,0"/></transform><film type="hdrfilm">'
+        f'<integer name="width" value="{width}"/><integer name="height" value="{height}"/></film>'
+        '</sensor><shape type="rectangle"><transform name="to_world">'
+        '<rotate x="1" angle="-90"/><scale value="4"/></transform></shape>',
+        more,
+    )
+
+
+# A lamp that is a ball of radius 1.
+BALL = scene(sphere("ball", 1, inside=AREA))

@@ -27,10 +27,11 @@ from lumitree.core.device import on_device
 # The mesh attribute of vertex colours.
 VERTEX_COLOUR = "vertex_color"
 # Mitsuba's names of the arrays in `mi.traverse`, and their components.
+VERTICES, NORMALS = "vertex_positions", "vertex_normals"
 _BUFFERS = {
-    "vertices": ("vertex_positions", 3),
+    "vertices": (VERTICES, 3),
     "faces": ("faces", 3),
-    "normals": ("vertex_normals", 3),
+    "normals": (NORMALS, 3),
     "texcoords": ("vertex_texcoords", 2),
 }
 

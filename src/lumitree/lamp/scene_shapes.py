@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from lumitree.core.backend import load_mitsuba
+from lumitree.core.mitsuba_meshes import NORMALS, VERTICES
 from lumitree.errors import shown
 
 # Keys that Mitsuba gives to elements without a name begin so.
@@ -13,7 +14,7 @@ _UNNAMED = "_arg_"
 _GROUP = "ShapeGroupPlugin"
 # Parameters of shapes that stand for a change of their geometry. If vertices change and normals do
 # not, Mitsuba would compute normals of its own.
-_GEOMETRY = ["to_world", "vertex_positions", "vertex_normals", "control_points", "data"]
+_GEOMETRY = ["to_world", VERTICES, NORMALS, "control_points", "data"]
 # How a shape is chosen, for messages; see `SceneShape.names`.
 CHOSEN_BY = "shape's id, BSDF's id or number"
 

@@ -19,6 +19,8 @@ from lumitree.core.device import on_device
 
 # Buffers of the first surface that is not specular, as Open Image Denoise expects them.
 BUFFERS = ("albedo", "normal")
+# Kinds of light that are recorded apart in each group, as the attributes of `Recorded`.
+KINDS = ("seen", "self_emission", "lit")
 _CHANNELS = {"albedo": "RGB", "normal": "XYZ"}
 
 
@@ -29,6 +31,8 @@ class Recorded:
     Attributes:
         seen: [groups, H, W, 3], radiance of emitters that reaches the camera by specular surfaces
             only, W/(m² sr).
+        self_emission: [groups, H, W, 3], radiance of emitters of a lamp that reaches the camera by
+            surfaces and media of this lamp's geometry only, not all of them specular.
         lit: [groups, H, W, 3], their other radiance: illumination.
         albedo: [H, W, 3], diffuse reflectance of the first surface that is not specular, times the
             throughput up to it.
@@ -36,9 +40,15 @@ class Recorded:
     """
 
     seen: NDArray[np.float32]
+    self_emission: NDArray[np.float32]
     lit: NDArray[np.float32]
     albedo: NDArray[np.float32]
     normal: NDArray[np.float32]
+
+    @property
+    def radiance(self) -> NDArray[np.float32]:
+        """All light of the groups, [groups, H, W, 3]."""
+        return self.seen + self.self_emission + self.lit
 
 
 class Unrecorded:
@@ -56,6 +66,7 @@ class Unrecorded:
         emitter: mi.EmitterPtr,
         radiance: mi.Spectrum,
         seen: mi.Bool,
+        shown: mi.Bool,
         active: mi.Bool,
     ) -> None:
         pass
@@ -92,16 +103,13 @@ class Layers(Unrecorded):
 
     def channel_names(self) -> list[str]:
         """Names of the film's further channels, in the order of `channels`."""
-        light = [
-            f"{kind}{g}.{c}" for kind in ("seen", "lit") for g in range(self.groups) for c in "RGB"
-        ]
+        light = [f"{kind}{g}.{c}" for kind in KINDS for g in range(self.groups) for c in "RGB"]
         return light + [f"{buffer}.{c}" for buffer in BUFFERS for c in _CHANNELS[buffer]]
 
     def start(self) -> dict[str, Any]:
         """Buffers of paths that have not met anything yet."""
         return {
-            "seen": [mi.Color3f(0) for _ in range(self.groups)],
-            "lit": [mi.Color3f(0) for _ in range(self.groups)],
+            **{kind: [mi.Color3f(0) for _ in range(self.groups)] for kind in KINDS},
             "albedo": mi.Color3f(0),
             "normal": mi.Color3f(0),
             "found": mi.Bool(False),
@@ -113,6 +121,7 @@ class Layers(Unrecorded):
         emitter: mi.EmitterPtr,
         radiance: mi.Spectrum,
         seen: mi.Bool,
+        shown: mi.Bool,
         active: mi.Bool,
     ) -> None:
         """Record light of an emitter.
@@ -122,10 +131,11 @@ class Layers(Unrecorded):
             emitter: one for each path.
             radiance: its part of the pixel.
             seen: whether there are only specular surfaces between it and the camera.
+            shown: whether there are only specular surfaces and its lamp's geometry between.
         """
         number = dr.reinterpret_array(mi.UInt32, emitter)
         group = dr.gather(mi.UInt32, self._group_of, number, active)
-        for kind, mask in (("seen", seen), ("lit", ~seen)):
+        for kind, mask in zip(KINDS, (seen, shown & ~seen, ~(seen | shown)), strict=True):
             for index in range(self.groups):
                 record[kind][index] += radiance & (active & mask & (group == index))
 
@@ -141,20 +151,17 @@ class Layers(Unrecorded):
 
     def channels(self, record: dict[str, Any]) -> list[mi.Float]:
         """Values of the film's further channels."""
-        colours = [*record["seen"], *record["lit"], *(record[buffer] for buffer in BUFFERS)]
+        colours = [each for kind in KINDS for each in record[kind]]
+        colours += [record[buffer] for buffer in BUFFERS]
         return [colour[i] for colour in colours for i in range(3)]
 
     def divide(self, channels: NDArray[np.float32]) -> Recorded:
         """Buffers in the film's further channels [H, W, C]."""
         height, width = channels.shape[:2]
         images = channels.reshape(height, width, -1, 3)
-        groups = self.groups
-        return Recorded(
-            seen=images[:, :, :groups].transpose(2, 0, 1, 3),
-            lit=images[:, :, groups : 2 * groups].transpose(2, 0, 1, 3),
-            albedo=images[:, :, -2],
-            normal=images[:, :, -1],
-        )
+        light = images[:, :, : -len(BUFFERS)].transpose(2, 0, 1, 3)
+        kinds = dict(zip(KINDS, np.split(light, len(KINDS)), strict=True))
+        return Recorded(**kinds, albedo=images[:, :, -2], normal=images[:, :, -1])
 
 
 def records_layers(integrator: mi.Integrator) -> bool:

@@ -270,7 +270,7 @@ def render(
     if recorded is not None and denoise:
         with watch.stage("denoise"):
             recorded = denoised(recorded)
-        pixels = (recorded.seen + recorded.lit).sum(axis=0)
+        pixels = recorded.radiance.sum(axis=0)
     return result(rendering, pixels, denoise, **_parts(recorded, noisy, names if layers else ()))
 
 
@@ -291,7 +291,7 @@ def _parts(
     """Parts of a `RenderResult` beside the image; with names, the layers too."""
     if recorded is None:
         return {}
-    light = recorded.seen + recorded.lit
+    light = recorded.radiance
     return {
         "layers": dict(zip(names, light, strict=True)) if names else {},
         "noisy": noisy,

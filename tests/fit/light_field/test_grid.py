@@ -5,12 +5,13 @@ import dataclasses
 import numpy as np
 import pytest
 
-from benchmarks.tall_lamps import chandelier, measure, references
+import lumitree
 from lumitree.errors import LumitreeError
 from lumitree.fit.light_field.bake import bake_light_field
 from lumitree.fit.light_field.grid import grid_depth
 from lumitree.lamp.loading import load_luminaire
 from lumitree.trace.light_field_config import LEAST_DEPTH, LightFieldFitConfig
+from support.chandelier import chandelier, irradiance_errors, references
 from support.lamps import AREA, cube, lamp_of, sphere
 from support.light_fields import assert_equal_fields
 
@@ -62,13 +63,10 @@ def test_equal_seeds_give_equal_fields_and_other_seeds_equal_grids(mi, tmp_path)
 
 @pytest.mark.slow
 def test_light_between_the_arms_of_a_chandelier_on_a_chain(mi):
-    """Against Mitsuba's direct light and path tracing; with 32 cells it is 7 % too dark."""
-    reference = references(2.5, 0)
-    coarse = measure(2.5, 32, reference, 0)
-    assert coarse.ratio["balls"] < 0.95
-    assert coarse.rms["balls"] > 0.2
-    chosen = measure(2.5, None, reference, 0)
-    assert chosen.cells == 128
-    assert np.array(list(chosen.ratio.values())) == pytest.approx(1, abs=0.02)
-    assert max(chosen.rms.values()) < 0.06
-    assert chosen.megabytes < 2.75 * coarse.megabytes
+    """Against Mitsuba's direct light and path tracing."""
+    config = lumitree.BakeConfig(parts=("light", "geometry"), irradiance_paths=0)
+    asset = lumitree.bake(chandelier(2.5), config=config, progress=None).asset
+    assert asset.light_field.depth == 7
+    ratio, rms = irradiance_errors(asset, references(2.5, 0))
+    assert np.array(list(ratio.values())) == pytest.approx(1, abs=0.02)
+    assert max(rms.values()) < 0.06

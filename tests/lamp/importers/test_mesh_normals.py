@@ -40,18 +40,6 @@ def test_smoothing_groups_and_none():
     assert not np.allclose(found, flat)
 
 
-def test_a_fan_of_many_faces_takes_linear_time():
-    count = 100_000
-    angle = np.linspace(0, 2 * np.pi, count, endpoint=False)
-    rim = np.stack([np.cos(angle), np.zeros(count), np.sin(angle)], axis=1)
-    positions = np.concatenate([[[0, 0.1, 0]], rim])
-    faces = np.stack(
-        [np.zeros(count, int), 1 + np.arange(count), 1 + (np.arange(count) + 1) % count], 1
-    )
-    found = normals_of(positions, faces[:, ::-1])
-    np.testing.assert_allclose(np.abs(found[:, 2]), [[0, 1, 0]] * count, atol=1e-3)
-
-
 def test_faces_without_area_do_no_harm():
     positions = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 1, 0]], float)
     faces = np.array([[0, 1, 2], [0, 2, 3]])

@@ -1,18 +1,13 @@
 """Tests of `lumitree.lamp.importers.images`."""
 
-import io
 import struct
 
-import numpy as np
 import pytest
-from PIL import Image
 
 from lumitree.errors import LumitreeError
 from lumitree.lamp.importers.images import Images
 
 SIDE = 64
-# A segment of another program, with the markers of scans and of the image's end in it.
-SEGMENT = b"\xff\xe2\0\x0e" + b"\xff\xda\xff\xd9" * 3
 
 
 def progressive(scans, between=b""):
@@ -48,15 +43,3 @@ def test_progressive_images_have_a_limit_of_scans():
     for between in (b"\xff\xff", b"\xff\x01", b"\xff\xd0", b"\xff\0"):
         with pytest.raises(LumitreeError, match="more than 100 scans"):
             decoded(progressive(101, between))
-
-
-@pytest.mark.parametrize("before", [b"", SEGMENT * 100])
-def test_only_scans_of_the_image_are_counted(before):
-    stream = io.BytesIO()
-    pixels = np.random.default_rng(0).integers(0, 255, (SIDE, SIDE, 3)).astype(np.uint8)
-    Image.fromarray(pixels).save(stream, "JPEG", progressive=True, quality=95)
-    data = stream.getvalue()
-    assert data.count(b"\xff\xda") == 10
-    # Another file behind the image, as of a camera that adds a film.
-    data = data[:2] + before + data[2:] + data * 20
-    assert decoded(data).pixels.shape == (SIDE, SIDE, 4)

@@ -1,16 +1,11 @@
 """OBJ models as a whole: parts, materials, textures, and files that reach out of their folder."""
 
-import os
-
 import numpy as np
 import pytest
 import trimesh
 from PIL import Image
 
-from lumitree.errors import LumitreeError, LumitreeWarning
-from lumitree.lamp import parts as model_module
-from lumitree.lamp.importers import images
-from lumitree.lamp.importers.obj import mesh, reader
+from lumitree.errors import LumitreeWarning
 from lumitree.lamp.importers.obj.reader import read_obj
 from lumitree.lamp.importers.topology import count_solids
 from lumitree.lamp.parts import Diffuse, Glass, Metal, Principled, Texture, VertexColour
@@ -111,65 +106,12 @@ def test_normals_are_smooth_where_the_file_asks_for_it(model):
     assert len(model(plane, "newmtl a").parts[0].mesh.vertices) == 4
 
 
-WINDINGS = ["f 1/1 2/2 3/3 4/4\nf 4/4 3/3 2/2 1/1", "f 1 2 3\nf 1 3 4\nf 3 2 1\nf 1 4 3"]
-
-
-@pytest.mark.parametrize("faces", [*WINDINGS, "f 1 2 3 4\nf 3 2 1 4\nf 2 3 4 1\nf 2 1 4 3"])
-@pytest.mark.filterwarnings("ignore:.* faces repeat others")
-def test_both_sides_emit_where_a_face_has_both_windings(mi, model, tmp_path, faces):
-    """A ray from either side meets a face that emits towards it."""
-    from lumitree.lamp.scene_writer import write_scene
-
-    lamp = model(QUAD + "usemtl a\n" + faces, "newmtl a\nKe 3 2 1")
-    mesh = lamp.parts[0].mesh
-    assert trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).area == pytest.approx(8)
-    scene = mi.load_file(str(write_scene(lamp, tmp_path / "scene")))
-    at = np.random.default_rng(0).uniform(-0.9, 0.9, (2, 64))
-    for side in (1.0, -1.0):
-        ray = mi.Ray3f(mi.Point3f(at[0], at[1], 3 * side), mi.Vector3f(0, 0, -side))
-        hit = scene.ray_intersect(ray)
-        radiance = np.array(hit.emitter(scene).eval(hit)).T
-        np.testing.assert_allclose(radiance, [[3, 2, 1]] * 64, rtol=1e-6)
-
-
-@pytest.mark.filterwarnings("ignore:.* faces repeat others")
-def test_copies_of_one_winding_emit_once_and_others_reflect_once(model):
-    twice = QUAD + "usemtl a\nf 1 2 3 4\nf 2 3 4 1"
-    assert len(model(twice, "newmtl a\nKe 1 1 1").parts[0].mesh.faces) == 2
-    both = QUAD + "usemtl a\n" + WINDINGS[0]
-    assert len(model(both, "newmtl a\nKd 1 1 1").parts[0].mesh.faces) == 2
-
-
 @pytest.mark.filterwarnings("ignore:.* faces repeat others")
 def test_a_face_in_both_windings_emits_to_both_sides_if_it_will_emit(model, tmp_path):
     """As where a file of overrides makes it emit."""
     model(QUAD + "usemtl a\nf 1 2 3 4\nf 4 3 2 1", "newmtl a\nKd 1 1 1")
     parts = [read_obj(tmp_path / "lamp.obj", names).parts[0] for names in ([], ["a"])]
     assert [len(part.mesh.faces) for part in parts] == [2, 4]
-
-
-def test_a_thin_wall_stays_beside_a_large_room(model):
-    """Faces are compared with those of their own material."""
-    outer, inner = (trimesh.creation.icosphere(subdivisions=1, radius=r) for r in (0.03, 0.0298))
-    bulb = obj_text(outer, "glass") + obj_text(inner, "glass", len(outer.vertices), flip=True)
-    hall = "usemtl hall\nv -30 0 -30\nv 30 0 -30\nv 30 0 30\nv -30 0 30\nf -4 -3 -2 -1\n"
-    (alone,), (beside, _) = (
-        model(text, "newmtl glass\nnewmtl hall\n").parts for text in (bulb, bulb + hall)
-    )
-    assert len(alone.mesh.faces) == len(beside.mesh.faces) == 160
-
-
-def test_a_closed_emitter_in_both_windings(model):
-    """One side of the copy faces inwards; textures and colours are those of the front."""
-    ball = trimesh.creation.icosphere(subdivisions=1)
-    text = obj_text(ball, "a") + obj_text(ball, "a", len(ball.vertices), flip=True)
-    mesh = model(text, "newmtl a\nKe 1 1 1").parts[0].mesh
-    assert len(mesh.faces) == 2 * len(ball.faces)
-    assert abs(trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).volume) < 1e-3
-    outer, inner = mesh.faces[: len(ball.faces)], mesh.faces[len(ball.faces) :]
-    assert ((mesh.normals * mesh.vertices)[outer].sum(axis=-1) > 0.9).all()
-    assert ((mesh.normals * mesh.vertices)[inner].sum(axis=-1) < -0.9).all()
-    assert np.linalg.norm(mesh.vertices[inner]) < np.linalg.norm(mesh.vertices[outer])
 
 
 PAINTED = "v -1 -1 0 1 0 0\nv 1 -1 0 1 0 0\nv 1 1 0 0 0 1\nv -1 1 0 0 0 1\nvt 0 0\n"
@@ -201,33 +143,6 @@ def test_vertex_colours_that_are_not_used(model, tmp_path):
     assert model(white + "usemtl a\nf 1 2 3", "newmtl a").parts[0].mesh.colours is None
 
 
-def test_vertex_colours_when_rendered(mi, model, tmp_path):
-    from lumitree.lamp.scene_writer import write_scene
-
-    lamp = model(PAINTED + "usemtl a\nf 1 2 3 4", "newmtl a\nKd 1 1 1")
-    scene = mi.load_file(str(write_scene(lamp, tmp_path / "scene")))
-    ray = mi.Ray3f(mi.Point3f([0.0, 0.0], [-1.0, 1.0], [3.0, 3.0]), mi.Vector3f(0, 0, -1))
-    hit = scene.ray_intersect(ray)
-    reflectance = np.array(hit.bsdf().eval_diffuse_reflectance(hit)).T
-    np.testing.assert_allclose(reflectance, [[1, 0, 0], [0, 0, 1]], atol=1e-3)
-
-
-def test_text_of_materials_in_any_encoding(model, tmp_path):
-    text = "newmtl Küche\rKd 0,5 0,25 1\rNs 10\r"
-    for encoding in ("utf-8", "utf-16", "latin-1"):
-        (tmp_path / "b.mtl").write_bytes(text.encode(encoding))
-        lamp = model("mtllib b.mtl\n" + QUAD + "usemtl Küche\nf 1 2 3")
-        assert lamp.materials[0].surface == Diffuse((0.5, 0.25, 1))
-
-
-@pytest.mark.filterwarnings("ignore:.* faces repeat others")
-def test_a_copy_rounded_differently_is_still_a_copy(model):
-    ball = trimesh.creation.icosphere(subdivisions=2)
-    copy = trimesh.Trimesh(ball.vertices + 3e-6, ball.faces, process=False)
-    text = obj_text(ball, "a") + obj_text(copy, "a", len(ball.vertices))
-    assert len(model(text, "newmtl a\nKd 1 1 1").parts[0].mesh.faces) == len(ball.faces)
-
-
 def test_given_normals_are_kept_and_turned_with_their_faces(model):
     ball = trimesh.creation.icosphere(subdivisions=1)
     vertices = "".join(f"v {x} {y} {z}\n" for x, y, z in ball.vertices)
@@ -250,17 +165,6 @@ def test_open_sheets_are_wound_as_their_normals_point(model):
     a, b, c = mesh.vertices[mesh.faces[0]]
     assert np.cross(b - a, c - a)[2] < 0
     np.testing.assert_array_equal(mesh.normals, [[0, 0, -1]] * 3)
-
-
-def test_normals_of_no_length_are_computed(model):
-    text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 0\nusemtl a\nf 1//1 2//1 3//1"
-    np.testing.assert_allclose(model(text, "newmtl a").parts[0].mesh.normals, [[0, 0, 1]] * 3)
-
-
-def test_concave_polygon_is_cut_by_its_ears(model):
-    text = "v 0 0 0\nv 2 1 0\nv 4 0 0\nv 2 4 0\nv 2 2 0\nusemtl a\nf 1 2 3 4"
-    mesh = model(text, "newmtl a").parts[0].mesh
-    assert trimesh.Trimesh(mesh.vertices, mesh.faces).area == pytest.approx(6)
 
 
 def test_model_without_materials_is_grey(model):
@@ -359,14 +263,6 @@ def test_normal_maps_are_turned_round_on_mirrored_coordinates(model, tmp_path, s
         assert (green == (204 if sign > 0 else 51)).all()
 
 
-def test_opaque_image_as_opacity_and_roughness(quad, tmp_path):
-    image(tmp_path / "m.png", np.full((2, 2, 3), 100))
-    found = quad("map_d m.png\nd 0.5\nmap_Pr m.png")
-    assert found.opacity.pixels.shape == (2, 2, 1)
-    assert (found.opacity.pixels == 50).all()
-    assert (found.surface.roughness.pixels == 100).all()
-
-
 def test_normal_maps_and_height_maps(quad, tmp_path):
     tilted = np.array([0.6, 0.0, 0.8])
     image(tmp_path / "n.png", np.full((4, 4, 3), np.round((tilted + 1) * 127.5)))
@@ -394,19 +290,6 @@ def test_v_of_the_mesh_counts_from_the_first_row(model):
     assert by_place[(1, 1, 0)] == (1, 0)
 
 
-def test_texture_stands_upright_when_rendered(mi, model, tmp_path):
-    """An image that is red above and green below, on a quad in the plane z = 0, y up."""
-    from lumitree.lamp.scene_writer import write_scene
-
-    image(tmp_path / "a.png", [[[255, 0, 0]] * 2] * 4 + [[[0, 255, 0]] * 2] * 4)
-    lamp = model(QUAD + "usemtl a\nf 1/1 2/2 3/3 4/4", "newmtl a\nmap_Ke a.png\nKe 2 2 2")
-    scene = mi.load_file(str(write_scene(lamp, tmp_path / "scene")))
-    ray = mi.Ray3f(mi.Point3f([0.0, 0.0], [0.5, -0.5], [3.0, 3.0]), mi.Vector3f(0, 0, -1))
-    hit = scene.ray_intersect(ray)
-    radiance = np.array(hit.emitter(scene).eval(hit)).T
-    np.testing.assert_allclose(radiance, [[2, 0, 0], [0, 2, 0]], atol=1e-3)
-
-
 OUTSIDE = [
     "/etc/passwd",
     "../secret.mtl",
@@ -416,20 +299,6 @@ OUTSIDE = [
 ]
 OUTSIDE += ["..\\secret.mtl", "file:///etc/secret.mtl", "https://example.org/secret.mtl"]
 OUTSIDE += ["data:text/plain,x", "\\\\host\\secret.mtl", "file:///C:/a/SECRET.mtl"]
-
-
-def test_images_beside_a_library_in_a_folder_below(model, tmp_path):
-    """Names in an MTL file are relative to it; those relative to the model are found too."""
-    (tmp_path / "parts/maps").mkdir(parents=True)
-    levels = {"parts/beside.png": 10, "parts/maps/below.png": 20, "above.png": 30, "own.png": 40}
-    for name, level in levels.items():
-        Image.new("RGB", (2, 2), (level, level, level)).save(tmp_path / name)
-    named = ["beside.png", "maps\\below.png", "../above.png", "own.png"]
-    blocks = [f"newmtl m{i}\nmap_Kd {name}\n" for i, name in enumerate(named)]
-    (tmp_path / "parts/lamp.mtl").write_text("".join(blocks))
-    faces = "".join(f"usemtl m{i}\nf 1/1 2/2 3/3 4/4\n" for i in range(len(named)))
-    found = model("mtllib parts/lamp.mtl\n" + QUAD + faces).materials
-    assert [each.surface.reflectance.pixels.max() for each in found] == [10, 20, 30, 40]
 
 
 @pytest.mark.parametrize("name", OUTSIDE)
@@ -475,132 +344,3 @@ def test_an_image_is_found_by_most_of_its_path_and_in_any_case(quad, tmp_path):
     image(tmp_path / "HALF.png", np.full((2, 2, 3), 200))
     assert quad("map_Kd HALF.png").surface.reflectance.pixels.max() == 200
     assert quad("map_Kd half.png").surface.reflectance.pixels.max() == 50
-
-
-def test_links_out_of_the_folder_are_refused(model, tmp_path, tmp_path_factory):
-    outside = tmp_path_factory.mktemp("outside")
-    image(outside / "a.png", np.zeros((2, 2, 3)))
-    os.symlink(outside / "a.png", tmp_path / "a.png")
-    with pytest.raises(LumitreeError, match="a link out of the model's folder"):
-        model(QUAD + "usemtl a\nf 1 2 3", "newmtl a\nmap_Kd a.png")
-    os.symlink(outside, tmp_path / "images")
-    with pytest.raises(LumitreeError, match="a link out of the model's folder"):
-        model(QUAD + "usemtl a\nf 1 2 3", "newmtl a\nmap_Kd images/a.png")
-
-
-@pytest.mark.parametrize("name", ["x" * 300 + ".mtl", "a/" * 3000 + "b.mtl", "\x1b[31m.mtl"])
-@pytest.mark.parametrize("where", ["mtllib", "map_Kd"])
-def test_odd_names_are_not_there(model, name, where):
-    obj, mtl = QUAD + "usemtl a\nf 1 2 3", f"newmtl a\n{where} {name}"
-    if where == "mtllib":
-        obj, mtl = f"mtllib {name}\n" + obj, None
-    with pytest.warns(LumitreeWarning, match="is not there|no MTL file") as caught:
-        model(obj, mtl)
-    for entry in caught:
-        assert str(entry.message).isprintable()
-        assert len(str(entry.message)) < 600
-
-
-def test_a_library_is_read_once_however_it_is_named(model, tmp_path, monkeypatch):
-    read = []
-    monkeypatch.setattr(reader, "parse_mtl", lambda path: read.append(path) or {})
-    (tmp_path / "a.mtl").write_text("newmtl a\n")
-    with pytest.warns(LumitreeWarning, match="no MTL"):
-        model("mtllib a.mtl\nmtllib ./a.mtl\nmtllib .//a.mtl\n" + QUAD + "usemtl a\nf 1 2 3")
-    assert len(read) == 1
-
-
-def test_number_of_materials_is_limited(model, monkeypatch):
-    monkeypatch.setattr(model_module, "MAX_SHAPES", 3)
-    text = QUAD + "".join(f"usemtl {name}\nf 1 2 3\n" for name in "abcd")
-    with pytest.raises(LumitreeError, match="4 shapes; at most 3"):
-        model(text)
-
-
-def test_materials_share_the_textures_of_an_image(model, tmp_path, monkeypatch):
-    pixels = np.random.default_rng(0).integers(0, 255, (8, 8, 3))
-    image(tmp_path / "a.png", pixels)
-    # Decoded once, and one texture of it.
-    monkeypatch.setattr(images, "MAX_TOTAL_BYTES", 8 * 8 * (4 + 12))
-    text = QUAD + "".join(f"usemtl {name}\nf 1/1 2/2 3/3\n" for name in "abc")
-    library = "".join(f"newmtl {name}\nmap_Kd a.png\n" for name in "abc")
-    first, *others = model(text, library).materials
-    for other in others:
-        assert other.surface.reflectance.pixels is first.surface.reflectance.pixels
-    with pytest.raises(LumitreeError, match=r"a\.png brings the model's images .* at most"):
-        model(text, library + "map_Ke a.png\n")
-
-
-def test_work_on_a_material_does_not_grow_with_the_others(model, monkeypatch):
-    """Arrays of one material's mesh, where the file holds a hundred more."""
-    sizes = []
-    original = mesh.faces_to_turn
-
-    def recorded(positions, faces, pieces, where):
-        sizes.append(len(positions))
-        return original(positions, faces, pieces, where)
-
-    monkeypatch.setattr(mesh, "faces_to_turn", recorded)
-    lines = []
-    for at in range(100):
-        lines.append(f"v {at} 0 0\nv {at} 1 0\nv {at} 0 1\nusemtl m{at}\nf -3 -2 -1\n")
-    with pytest.warns(LumitreeWarning, match="no MTL"):
-        model("".join(lines))
-    assert sizes == [3] * 100
-
-
-def test_what_is_no_regular_file_is_not_opened(model, tmp_path):
-    os.mkfifo(tmp_path / "pipe.png")
-    with pytest.warns(LumitreeWarning, match="'pipe.png', which is not there"):
-        model(QUAD + "usemtl a\nf 1 2 3", "newmtl a\nmap_Kd pipe.png")
-    os.mkfifo(tmp_path / "pipe.mtl")
-    with pytest.warns(LumitreeWarning, match="'pipe.mtl', which is not there"):
-        model("mtllib pipe.mtl\n" + QUAD + "f 1 2 3")
-
-
-def test_bad_images_are_refused(model, tmp_path, monkeypatch):
-    def read():
-        return model(QUAD + "usemtl a\nf 1/1 2/2 3/3", "newmtl a\nmap_Kd a.png")
-
-    (tmp_path / "a.png").write_bytes(b"not an image")
-    with pytest.raises(LumitreeError, match=r"a\.png is not a readable image .* none of these"):
-        read()
-    image(tmp_path / "a.png", np.random.default_rng(0).integers(0, 255, (64, 64, 3)))
-    data = (tmp_path / "a.png").read_bytes()
-    (tmp_path / "a.png").write_bytes(data[:2000])
-    with pytest.raises(LumitreeError, match=r"a\.png is not a readable image"):
-        read()
-    # PostScript would be run by an interpreter.
-    (tmp_path / "a.png").write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n")
-    with pytest.raises(LumitreeError, match=r"a\.png is not a readable image"):
-        read()
-    (tmp_path / "a.png").write_bytes(data)
-    monkeypatch.setattr(images, "MAX_IMAGE_PIXELS", 64 * 63)
-    with pytest.raises(LumitreeError, match=r"has 64 x 64 pixels; at most 16384 .* 4032"):
-        read()
-
-
-def test_huge_images_are_refused_before_they_are_decoded(model, tmp_path):
-    """PNGs of a few bytes that say they have 100 000 x 100 000 and 10 000 x 10 000 pixels."""
-    import struct
-    import zlib
-
-    for side, message in ((100_000, "too many pixels"), (10_000, "has 10000 x 10000 pixels")):
-        header = b"IHDR" + struct.pack(">IIBBBBB", side, side, 8, 2, 0, 0, 0)
-        data = b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + header
-        data += struct.pack(">I", zlib.crc32(header))
-        data += struct.pack(">I", 0) + b"IDAT" + struct.pack(">I", zlib.crc32(b"IDAT"))
-        (tmp_path / "a.png").write_bytes(data)
-        with pytest.raises(LumitreeError, match=message):
-            model(QUAD + "usemtl a\nf 1/1 2/2 3/3", "newmtl a\nmap_Kd a.png")
-
-
-def test_a_model_of_80_000_triangles(tmp_path):
-    ball = trimesh.creation.icosphere(subdivisions=6)
-    vertices = "".join(f"v {x:.6f} {y:.6f} {z:.6f}\n" for x, y, z in ball.vertices)
-    normals = vertices.replace("v ", "vn ")
-    faces = "".join(f"f {a}//{a} {b}//{b} {c}//{c}\n" for a, b, c in ball.faces + 1)
-    (tmp_path / "ball.obj").write_text(vertices + normals + faces)
-    mesh = read_obj(tmp_path / "ball.obj").parts[0].mesh
-    assert len(mesh.faces) == 81_920
-    assert count_solids(mesh) == (1, 1)

@@ -61,11 +61,6 @@ def test_concave_shapes():
     check(np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)[::-1])
 
 
-def test_comb():
-    teeth = [[x, 3 if (x % 2) else 1] for x in range(20, -1, -1)]
-    check([[0, 0], [20, 0], *teeth])
-
-
 def test_corners_on_an_edge_are_used_and_leave_no_empty_triangle():
     areas = check([[0, 0], [1, 0], [2, 0], [3, 0], [3, 2], [0, 2]])
     assert len(areas) == 4
@@ -82,11 +77,6 @@ def test_what_lies_in_line_leaves_no_empty_triangle(noise):
         rolled = np.roll(np.array(outline, float), turn, axis=0)
         areas = check(rolled + noise * rng.normal(size=rolled.shape))
         assert areas.min() > 1e-4
-
-
-def test_outline_with_a_hole_cut_to():
-    hole = [[1, 1], [1, 3], [3, 3], [3, 1]]
-    check([[0, 0], [4, 0], [4, 4], [0, 4], [0, 0], *hole, hole[0]])
 
 
 @settings(max_examples=60)
@@ -114,15 +104,6 @@ def test_any_corners_keep_their_outline(corners, side, seed):
     rng = np.random.default_rng(seed)
     points = rng.integers(0, side, (corners, 3)) * [1, 1, rng.integers(0, 2)]
     outlined(triangulate(points[None].astype(float))[0], corners)
-
-
-def test_many_at_once_are_cut_one_by_one():
-    square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
-    dart = np.array([[0, 0, 0], [2, 1, 0], [4, 0, 0], [2, 4, 0]], float)
-    triangles, polygon = triangulate(np.stack([square, dart, square]))
-    assert polygon.tolist() == [0, 0, 1, 1, 2, 2]
-    np.testing.assert_array_equal(triangles[:2], triangles[4:])
-    np.testing.assert_array_equal(triangles[2:4], triangulate(dart[None])[0])
 
 
 def test_neighbours_of_a_corner_on_an_edge_stay_joined():

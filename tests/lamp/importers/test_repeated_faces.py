@@ -9,9 +9,9 @@ from lumitree.errors import LumitreeWarning
 from lumitree.lamp.importers.overrides import emitting_area
 from lumitree.lamp.meshes import area_normals
 from lumitree.lamp.model_reading import read_model
-from lumitree.lamp.parts import Glass, Principled
+from lumitree.lamp.parts import Glass
 from lumitree.lamp.source import LuminaireSource
-from support.gltf_builder import QUAD, QUAD_FACES, Gltf, box, sphere
+from support.gltf_builder import QUAD, QUAD_FACES, Gltf, sphere
 
 LIT = {"name": "lit", "emissiveFactor": [1, 1, 1]}
 TRANSMISSION = {"KHR_materials_transmission": {"transmissionFactor": 1}}
@@ -103,13 +103,6 @@ def test_what_emits_twice_in_one_place_emits_once(tmp_path, gltf, count):
     assert said == [count]
     assert area(model) == pytest.approx(AREA, rel=1e-5)
     assert emitting_area(model, "lit") == pytest.approx(AREA, rel=1e-5)
-
-
-def test_an_override_in_lumens_is_for_the_area_that_is_used(tmp_path):
-    path = nodes({}).save(tmp_path)
-    (tmp_path / "lamp.toml").write_text("[material.lit]\nemitter = { lumens = 100 }")
-    (material,) = read(path)[0].materials
-    assert np.pi * AREA * 683 * material.radiance[0] == pytest.approx(100, rel=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -217,57 +210,6 @@ def test_a_repeated_ball_of_glass_is_one_solid(tmp_path, gltf):
     assert 3.5 < volume < 4.2
 
 
-def touching_boxes():
-    """Two boxes that touch, in one primitive, with the same corners where they do."""
-    vertices, faces = box([0, 0, 0], [1, 1, 1])
-    # The other one is the mirror image, so that the triangles of the common side are the same.
-    mirrored = vertices * np.float32([-1, 1, 1])
-    return np.concatenate([vertices, mirrored]), np.concatenate([faces, faces[:, ::-1] + 8])
-
-
-def folded_box():
-    """A box with a fold: a triangle that stands on an edge, in both windings."""
-    vertices, faces = box([0, 0, 0], [1, 1, 1])
-    corner = np.float32([[0.5, -1, 0]])
-    # Along the edge between corners 0 and 4.
-    fold = np.array([[0, 4, 8], [4, 0, 8]])
-    return np.concatenate([vertices, corner]), np.concatenate([faces, fold])
-
-
-@pytest.mark.parametrize(("surface", "count"), [(touching_boxes(), 24), (folded_box(), 14)])
-def test_faces_that_close_solids_are_not_repeated(tmp_path, surface, count):
-    """Two of opposite winding in one place, each with neighbours of its own."""
-    gltf = Gltf()
-    vertices, faces = surface
-    glass = gltf.material(name="glass", **SMOOTH, extensions=SOLID)
-    gltf.node(gltf.primitive(vertices, faces.astype(np.uint32), material=glass))
-    gltf.quad(gltf.material(**LIT), translation=[0, 0, 9])
-    model, said = read(gltf.save(tmp_path))
-    (part,) = (each for each in model.parts if each.material.startswith("glass"))
-    assert said == []
-    assert len(part.mesh.faces) == count
-
-
-def tube(*sides):
-    """Two of the three pairs of sides of a cube."""
-    gltf = Gltf()
-    vertices, faces = box([0, 0, 0], [1, 1, 1])
-    material = gltf.material(**LIT)
-    for dropped in sides:
-        centres = vertices[faces].max(axis=1) - vertices[faces].min(axis=1)
-        gltf.node(gltf.primitive(vertices, faces[centres[:, dropped] > 0], material=material))
-    return gltf
-
-
-def test_other_surfaces_with_the_same_vertices_stay(tmp_path):
-    """Two tubes: only the pair of sides that both have is used once."""
-    model, said = read(tube(1, 2).save(tmp_path))
-    assert said == [4]
-    assert area(model) == pytest.approx(6)
-    model, said = read(tube(1, 1).save(tmp_path))
-    assert (said, area(model)) == ([8], pytest.approx(4))
-
-
 def test_light_of_one_lamp_in_two_nodes_counts_once(tmp_path):
     gltf = Gltf()
     for at in ([0, 0, 0], [0, 0, 0], [0, 1, 0]):
@@ -277,24 +219,3 @@ def test_light_of_one_lamp_in_two_nodes_counts_once(tmp_path):
     model, said = read(gltf.save(tmp_path))
     assert [len(part.places) for part in model.parts] == [2, 2]
     assert said == [sum(len(part.mesh.faces) for part in model.parts)]
-
-
-def test_a_thin_box_is_not_repeated(tmp_path):
-    """Faces nearer than they are wide, as of a sheet of 10 cm and 0.1 mm in a lamp of 1 m."""
-    gltf = Gltf()
-    sheet = box([0, 0, 0], [0.1, 0.1, 1e-4])
-    material = gltf.material(**LIT)
-    gltf.node(gltf.primitive(*sheet, material=material))
-    gltf.node(gltf.primitive(*sheet, material=material), translation=[1, 0, 0])
-    model, said = read(gltf.save(tmp_path))
-    assert said == []
-    assert area(model) == pytest.approx(2 * (0.02 + 4e-5), rel=1e-5)
-
-
-@pytest.mark.parametrize("surface", ["diffuse = {}", "glass = {}"])
-def test_an_override_decides_whether_both_sides_are_alike(tmp_path, surface):
-    path = reversed_quad().save(tmp_path)
-    (tmp_path / "lamp.toml").write_text(f"[material.lit]\n{surface}")
-    model, said = read(path)
-    assert said == [2]
-    assert not any(isinstance(each.surface, Principled) for each in model.materials[:1])

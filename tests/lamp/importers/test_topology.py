@@ -44,19 +44,6 @@ def test_weld_finds_vertices_in_one_place():
     assert len(np.unique(weld(np.zeros((5, 3))))) == 1
 
 
-def test_weld_is_not_quadratic():
-    points = np.zeros((200_000, 3))
-    points[0] = 1e6
-    assert len(np.unique(weld(points))) == 2
-
-
-def test_pieces_turned_inwards_are_turned_out():
-    positions, faces = joined(ball(), ball(centre=(3, 0, 0), inwards=True))
-    out = turned_out(positions, faces)
-    assert min(volumes(positions, out)) > 4
-    np.testing.assert_array_equal(out[: len(faces) // 2], faces[: len(faces) // 2])
-
-
 @pytest.mark.parametrize("inwards", [False, True])
 def test_inner_side_of_a_wall_faces_into_the_hollow(inwards):
     """A ball with a cavity and a ball in the cavity, however the file winds them."""
@@ -83,15 +70,6 @@ def test_mixed_winding_is_made_consistent():
 
 def solids(positions, faces):
     return count_solids(Mesh(positions, np.ones_like(positions), faces))
-
-
-def test_what_is_solid():
-    positions, faces = ball()
-    assert solids(positions, faces) == (1, 1)
-    assert solids(positions, faces[1:]) == (0, 1)
-    # Split vertices, as creases have them, are in one place.
-    apart = np.arange(faces.size).reshape(-1, 3)
-    assert solids(positions[faces.ravel()], apart) == (1, 1)
 
 
 def test_two_sheets_in_one_place_are_closed_but_not_solid():

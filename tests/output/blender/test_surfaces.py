@@ -8,7 +8,7 @@ import pytest
 from lumitree.core.frames import similarity
 from lumitree.output.geometry_meshes import MIRRORED_PARTLY, geometry_meshes, mirrored_share
 from support.every_material import DIFFUSE, MATERIALS, TEXTURE, every_material
-from support.geometry_assets import small_geometry
+from support.geometry_assets import NOTHING, small_geometry
 
 pytestmark = pytest.mark.usefixtures("mi")
 
@@ -83,9 +83,7 @@ def test_metals_reflect_at_normal_incidence_as_in_mitsuba(mi):
         small_geometry(
             materials=({"type": "conductor", "material": "Cu", "specular_reflectance": 0.5},),
             shapes=({**small_geometry().shapes[2], "material": 0, "radiance": None},),
-            vertices=np.zeros((0, 3), np.float32), faces=np.zeros((0, 3), np.uint32),
-            normals=np.zeros((0, 3), np.float32), texcoords=np.zeros((0, 2), np.float32),
-            colours=np.zeros((0, 3), np.float32),
+            **NOTHING,
         )
     )  # fmt: skip
     bsdf = mi.load_dict({"type": "conductor", "material": "Cu", "specular_reflectance": 0.5})
@@ -95,15 +93,6 @@ def test_metals_reflect_at_normal_incidence_as_in_mitsuba(mi):
     si.wi = mi.Vector3f(0, 0, 1)
     _, weight = bsdf.sample(mi.BSDFContext(), si, mi.Float(0.5), mi.Point2f(0.5))
     np.testing.assert_allclose(tree["inputs"]["Color"], np.array(weight).ravel(), rtol=1e-3)
-
-
-def test_roughness_and_index_are_numbers_of_blender():
-    from lumitree.output.blender.surfaces import Surfaces
-
-    surfaces = Surfaces(small_geometry())
-    glass = surfaces._surface({"type": "roughdielectric", "alpha": 0.04, "int_ior": "bk7"}, None)
-    assert glass["inputs"]["Roughness"] == pytest.approx(0.2)
-    assert glass["inputs"]["IOR"] == pytest.approx(1.5046 / 1.000277, rel=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -168,9 +157,7 @@ def test_analytic_shapes_become_meshes_whose_faces_turn_as_the_normals(
     (mesh,) = geometry_meshes(
         small_geometry(
             shapes=(shape,), materials=(DIFFUSE,),
-            vertices=np.zeros((0, 3), np.float32), faces=np.zeros((0, 3), np.uint32),
-            normals=np.zeros((0, 3), np.float32), texcoords=np.zeros((0, 2), np.float32),
-            colours=np.zeros((0, 3), np.float32),
+            **NOTHING,
         ),
         np.eye(4),
     )  # fmt: skip

@@ -1,6 +1,5 @@
 """`lumitree export -o lamp.glb`: the file, its validator, three.js and our own importer."""
 
-import base64
 import dataclasses
 import io
 import json
@@ -16,13 +15,10 @@ from lumitree.core.frames import similarity
 from lumitree.core.photometry import LUMA, LUMENS_PER_WATT
 from lumitree.output.geometry_meshes import geometry_meshes
 from lumitree.output.orientation import turn_up
-from support.browser import CHROMIUM, evaluate
 from support.every_material import MATERIALS, TEXTURE, every_material
 from support.exported_lamps import beam, lamp
 from support.geometry_assets import small_geometry, with_geometry
 from support.node_packages import node_modules, run_node
-from support.profiled_lights import light_vectors, profile_vector
-from support.three_page import three_page
 
 pytestmark = pytest.mark.usefixtures("mi")
 
@@ -71,37 +67,6 @@ def test_the_brightest_direction_is_that_of_the_lamp(mi, tmp_path, up, direction
     assert turned @ np.array(expected) / np.linalg.norm(expected) > 0.98
     place = turn_up(up, "y") @ [1, 2, 3]
     np.testing.assert_allclose(node["translation"], place, atol=0.11)
-
-
-def test_each_light_has_the_mean_direction_of_its_cells(tmp_path):
-    from lumitree.output.point_lights import place_lights
-
-    asset = lamp()
-    lumitree.export(asset, tmp_path / "lamp.glb", lights=5, up="z")
-    file = GltfFile(tmp_path / "lamp.glb")
-    placed = place_lights(asset, turn_up("z", "y"), 5)
-    lights = list(file.lights())
-    found = [
-        rotated(node["rotation"], profile_vector(file.profile(profile)))
-        for node, _, profile in lights
-    ]
-    np.testing.assert_allclose(found, light_vectors(placed), atol=0.01)
-    places = [node["translation"] for node, _, _ in lights]
-    np.testing.assert_allclose(places, placed.position, atol=1e-12)
-
-
-def test_one_root_holds_everything(tmp_path):
-    asset = dataclasses.replace(with_geometry(small_geometry()), luminaire="a lamp")
-    result = lumitree.export(asset, tmp_path / "lamp.glb")
-    file = GltfFile(result.file)
-    (root,) = file.json["scenes"][0]["nodes"]
-    nodes = file.json["nodes"]
-    assert nodes[root]["name"] == "a lamp"
-    groups = {nodes[each]["name"]: nodes[each]["children"] for each in nodes[root]["children"]}
-    assert len(groups["surfaces"]) == 3
-    assert len(groups["lights"]) == result.lights
-    assert len({each["name"] for each in nodes}) == len(nodes)
-    assert "extensionsRequired" not in file.json
 
 
 def test_the_file_holds_the_surfaces(tmp_path):
@@ -280,40 +245,3 @@ def test_the_official_validator_finds_no_errors(tmp_path, packages):
     lumitree.export(everything(), tmp_path / "spots.glb", importer="blender")
     report = json.loads(run_node(packages, VALIDATE, str(tmp_path / "spots.glb")))
     assert report["issues"]["numErrors"] == 0, report["issues"]["messages"]
-
-
-LOAD = """(async () => {
-  const { GLTFLoader } = await import('loader');
-  const { Vector3 } = await import('three');
-  const bytes = Uint8Array.from(atob('%s'), c => c.charCodeAt(0));
-  const model = await new GLTFLoader().parseAsync(bytes.buffer, '');
-  const lights = [], meshes = [];
-  model.scene.updateMatrixWorld(true);
-  model.scene.traverse(each => {
-    if (each.isLight) lights.push({
-      type: each.type, color: each.color.toArray(), intensity: each.intensity,
-      place: each.getWorldPosition(new Vector3()).toArray()});
-    if (each.isMesh) meshes.push([each.material.type, each.material.transmission || 0]);
-  });
-  return { lights, meshes, roots: model.scene.children.map(each => each.name) };
-})()"""
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(CHROMIUM is None, reason="no program chromium")
-def test_three_js_shows_the_lights_where_they_are(tmp_path, packages):
-    from lumitree.output.point_lights import place_lights
-
-    asset = dataclasses.replace(everything(), luminaire="lamp")
-    lumitree.export(asset, tmp_path / "lamp.glb", lights=4)
-    coded = base64.b64encode((tmp_path / "lamp.glb").read_bytes()).decode()
-    found = evaluate(three_page(packages), LOAD % coded, tmp_path / "profile")
-    assert found["roots"] == ["lamp"]
-    assert len(found["meshes"]) == len(MATERIALS)
-    assert any(transmission == 1 for _, transmission in found["meshes"])
-    expected = place_lights(asset, np.eye(3), 4)
-    places = [each["place"] for each in found["lights"]]
-    np.testing.assert_allclose(places, expected.position, atol=1e-5)
-    assert {each["type"] for each in found["lights"]} == {"PointLight"}
-    flux = [4 * np.pi * each["intensity"] * np.array(each["color"]) for each in found["lights"]]
-    np.testing.assert_allclose(np.array(flux) / LUMENS_PER_WATT, expected.watts, rtol=1e-6)

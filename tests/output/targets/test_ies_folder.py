@@ -10,7 +10,6 @@ from lumitree.asset.light_field import make_light_field
 from lumitree.cli import main
 from lumitree.core.octahedral import bilinear_bins, middle_directions
 from lumitree.core.photometry import luminance
-from lumitree.formats.type_c import y_up
 from lumitree.output.targets.ies_folder import COLUMNS, PLACEMENT
 from lumitree.rendering.asset_flux import asset_watts
 from support.exported_lamps import FRAME, beam, lamp
@@ -74,17 +73,6 @@ def far_field(asset, directions):
     return (luminance(sums)[index] * weights).sum(axis=1) * asset.frame.scale**2
 
 
-def test_lights_stand_where_the_clusters_are_with_z_up(tmp_path):
-    from lumitree.output.point_lights import cluster_lights
-
-    asset = lamp()
-    lumitree.export(asset, tmp_path / "out", lights=6)
-    local = cluster_lights(asset.light_field, FRAME.half_extents, 6).position
-    expected = local @ FRAME.rotation.T * FRAME.scale + FRAME.centre
-    found = np.array([number(row, "x_m", "y_m", "z_m") for row, _ in read(tmp_path / "out")])
-    np.testing.assert_allclose(y_up(found), expected, atol=1e-6)
-
-
 @pytest.mark.parametrize(("up", "gamma"), [("y", 180), ("z", 90)])
 def test_light_upwards_is_at_gamma_180(tmp_path, mi, up, gamma):
     lumitree.export(beam(mi, (1e-3, 1, 1e-3)), tmp_path / "out", up=up)
@@ -94,18 +82,6 @@ def test_light_upwards_is_at_gamma_180(tmp_path, mi, up, gamma):
     if up == "z":
         # y of a frame with z up.
         assert abs(found.c[plane] - 90) < 8
-
-
-@pytest.mark.parametrize("output", ["full", "full/", "full/mine", "."])
-def test_what_holds_other_files_is_refused(tmp_path, monkeypatch, capsys, output):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "full").mkdir()
-    (tmp_path / "full" / "mine").write_text("")
-    lumitree.save(lamp(), "lamp.lumitree")
-    assert main(["export", "lamp.lumitree", "-o", output]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "choose" in line
-    assert sorted(p.name for p in tmp_path.rglob("*")) == ["full", "lamp.lumitree", "mine"]
 
 
 def test_the_command_prints_units_orientation_and_the_folder(tmp_path, monkeypatch, capsys):

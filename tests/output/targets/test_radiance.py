@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import lumitree
-from lumitree.core.frames import rotation
 from lumitree.core.octahedral import solid_angles
 from lumitree.core.photometry import luminance
 from lumitree.output.targets.radiance import EFFICACY, LUMA, radiance_intensity
@@ -115,85 +114,4 @@ def test_radiance_illuminates_planes_as_lumitree_does(mi, tmp_path, name):
     assert have.mean() == pytest.approx(expected.mean(), rel=0.01)
 
 
-@needs_radiance
-def test_a_lamp_is_moved_by_xform(tmp_path):
-    """As the how-to page says; the lamp, its tables and the points turn together."""
-    lumitree.export(lamp(), tmp_path / "lamp.rad", lights=4)
-    (tmp_path / "moved.rad").write_text("!xform -s 2 -rz 30 -t 1 2 0 lamp.rad\n")
-    random = np.random.default_rng(1)
-    points = z_up(FRAME.centre + 10 * random.normal(size=(50, 3)))
-    normals = random.normal(size=(50, 3))
-    have = []
-    turn = rotation([0, 0, 1], 30)
-    for name, scale, matrix, offset in (
-        ("lamp.rad", 1, np.eye(3), 0), ("moved.rad", 2, turn, [1, 2, 0]),
-    ):  # fmt: skip
-        (tmp_path / "scene.oct").write_bytes(radiance(tmp_path, "oconv", name))
-        places = scale * points @ matrix.T + offset
-        have.append(illuminance(tmp_path, places, normals @ matrix.T, "-ab", 0, "-dt", 0))
-    assert have[0].max() > 0
-    # Radiance of the same surfaces, all sizes doubled.
-    np.testing.assert_allclose(have[1], have[0], rtol=1e-3, atol=1e-4 * have[0].max())
-
-
 HALF, GREY = 8.0, 0.3
-
-
-def grey_box(mi):
-    """Six walls around the lamp, for Radiance (z up) and for Mitsuba (y up)."""
-    lines, things = [f"void plastic grey 0 0 5 {GREY} {GREY} {GREY} 0 0"], {}
-    for axis in range(3):
-        for sign in (-1, 1):
-            centre = FRAME.centre + np.insert([0.0, 0.0], axis, sign * HALF)
-            corners = np.insert([[-1, -1], [1, -1], [1, 1], [-1, 1]], axis, 0, axis=1) * HALF
-            numbers = " ".join(f"{each:.9g}" for each in z_up(centre + corners).ravel())
-            name = f"wall{'xyz'[axis]}{'0+-'[sign]}"
-            lines.append(f"grey polygon {name} 0 0 12 {numbers}")
-            to_world = mi.ScalarTransform4f().look_at(
-                centre.tolist(), FRAME.centre.tolist(), np.roll([0, 0, 1], axis).tolist()
-            )
-            things[name] = {
-                "type": "rectangle",
-                "to_world": to_world.scale(HALF),
-                "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": GREY}},
-            }
-    return "\n".join(lines) + "\n", things
-
-
-@needs_radiance
-@pytest.mark.slow
-def test_light_that_a_grey_box_reflects_is_the_same(mi, tmp_path):
-    asset = lamp(count=4)
-    lumitree.export(asset, tmp_path / "lamp.rad", lights=4)
-    text, things = grey_box(mi)
-    (tmp_path / "box.rad").write_text(text)
-    (tmp_path / "scene.oct").write_bytes(radiance(tmp_path, "oconv", "box.rad", "lamp.rad"))
-    places = [(axis, sign) for axis in range(3) for sign in (-1.0, 1.0)]
-    grid = (np.arange(2) + 0.5) - 1
-    flat = np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 2) * HALF
-    points, normals = [], []
-    for axis, sign in places:
-        points.append(FRAME.centre + np.insert(flat, axis, sign * HALF * 0.999, axis=1))
-        normals.append(np.tile(np.insert([0.0, 0.0], axis, -sign), (len(flat), 1)))
-    points, normals = np.concatenate(points), np.concatenate(normals)
-    options = "-ab 4 -ad 512 -as 0 -aa 0.15 -ar 32 -lw 1e-4 -dt 0"
-    have = illuminance(tmp_path, z_up(points), z_up(normals), *options.split())
-    sensors = {
-        f"sensor{index}": {
-            "type": "radiancemeter",
-            "origin": (point + 0.5 * normal).tolist(),
-            "direction": (-normal).tolist(),
-            "film": {"type": "hdrfilm", "width": 1, "height": 1, "rfilter": {"type": "box"}},
-        }
-        for index, (point, normal) in enumerate(zip(points, normals, strict=True))
-    }
-    lamps = {"lamp": lumitree.shape(asset)}
-    scene = mi.load_dict({"type": "scene", **lamps, **things, **sensors})
-    integrator = mi.load_dict({"type": "lumitree_path", "max_depth": 10, "rr_depth": 20})
-    pixels = [
-        np.array(mi.render(scene, sensor=each, integrator=integrator, spp=1 << 13)).ravel()
-        for each in scene.sensors()
-    ]
-    expected = luminance(np.array(pixels)[:, :3]) * np.pi / GREY
-    error = np.sqrt(np.mean((have - expected) ** 2) / np.mean(expected**2))
-    assert error < 0.02

@@ -14,7 +14,6 @@ from benchmarks.exported_files.usd import (
     luminous_intensity,
     profile_of,
     value,
-    world_from_light,
 )
 from lumitree.cli import main
 from lumitree.core.frames import similarity
@@ -22,9 +21,8 @@ from lumitree.errors import LumitreeError
 from lumitree.output.geometry_meshes import geometry_meshes
 from lumitree.output.orientation import turn_up
 from support.every_material import MATERIALS, TEXTURE, every_material
-from support.exported_lamps import beam, lamp
+from support.exported_lamps import lamp
 from support.geometry_assets import small_geometry, with_geometry
-from support.profiled_lights import light_vectors, profile_vector
 
 pytestmark = pytest.mark.usefixtures("mi")
 
@@ -78,58 +76,6 @@ def test_intensity_times_profile_is_the_flux_of_the_asset(pxr, tmp_path, gain):
     # A program that ignores the profiles shows the same flux.
     flux = sum(flux_of(prim, 4 * np.pi) for prim in lights)
     np.testing.assert_allclose(flux, asset_watts(asset), rtol=1e-6)
-
-
-def test_lights_stand_where_the_clusters_are_in_metres_with_y_up(pxr, tmp_path):
-    from lumitree.output.point_lights import place_lights
-
-    asset = lamp()
-    for up in ("y", "z"):
-        result = lumitree.export(asset, tmp_path / f"{up}.usda", lights=5, up=up)
-        stage = pxr.Usd.Stage.Open(str(result.file))
-        assert pxr.UsdGeom.GetStageUpAxis(stage) == "Y"
-        assert pxr.UsdGeom.GetStageMetersPerUnit(stage) == 1
-        expected = place_lights(asset, turn_up(up, "y"), 5).position
-        found = [world_from_light(pxr, prim)[:3, 3] for prim in lights_of(pxr, stage)]
-        np.testing.assert_allclose(found, expected, atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("up", "direction", "expected"),
-    [
-        ("y", (0.3, -0.8, 0.52), (0.3, -0.8, 0.52)),
-        ("y", (-0.9, 0.3, -0.3), (-0.9, 0.3, -0.3)),
-        ("z", (0.3, -0.8, 0.52), (0.3, 0.52, 0.8)),
-    ],
-)
-def test_the_brightest_direction_is_that_of_the_lamp(pxr, mi, tmp_path, up, direction, expected):
-    lumitree.export(beam(mi, direction), tmp_path / "beam.usda", up=up)
-    stage = pxr.Usd.Stage.Open(str(tmp_path / "beam.usda"))
-    (prim,) = lights_of(pxr, stage)
-    profile = profile_of(prim)
-    c, gamma = np.unravel_index(profile.intensity.argmax(), profile.intensity.shape)
-    c, gamma = np.deg2rad(profile.c[c]), np.deg2rad(profile.gamma[gamma])
-    # γ from the light's -z, C from its +x towards its +y.
-    local = [np.sin(gamma) * np.cos(c), np.sin(gamma) * np.sin(c), -np.cos(gamma)]
-    world = world_from_light(pxr, prim)[:3, :3] @ local
-    assert world @ np.array(expected) / np.linalg.norm(expected) > 0.98
-
-
-def test_each_light_has_the_mean_direction_of_its_cells(pxr, tmp_path):
-    from lumitree.output.point_lights import place_lights
-
-    asset = lamp()
-    for up in ("y", "z"):
-        result = lumitree.export(asset, tmp_path / f"{up}.usda", lights=5, up=up)
-        stage = pxr.Usd.Stage.Open(str(result.file))
-        expected = light_vectors(place_lights(asset, turn_up(up, "y"), 5))
-        found = [
-            world_from_light(pxr, prim)[:3, :3] @ profile_vector(profile_of(prim))
-            for prim in lights_of(pxr, stage)
-        ]
-        # Of random intensities the means are some hundredths long.
-        assert np.linalg.norm(expected, axis=1).max() > 0.05
-        np.testing.assert_allclose(found, expected, atol=0.01)
 
 
 def test_lights_are_shaped_by_their_profiles_alone(pxr, tmp_path):
@@ -254,14 +200,6 @@ def test_a_package_holds_layers_and_images_only(pxr, tmp_path):
     flux = sum(flux_of(prim, 4 * np.pi) for prim in lights_of(pxr, stage))
     np.testing.assert_allclose(flux, asset_watts(asset), rtol=1e-6)
     assert len(meshes_of(pxr, stage)) == 3
-
-
-def test_a_lamp_without_surfaces_has_lights(pxr, tmp_path):
-    result = lumitree.export(lamp(), tmp_path / "lamp.usda", lights=2)
-    names = sorted(path.name for path in result.files)
-    assert names == ["lamp.light0.ies", "lamp.light1.ies", "lamp.usda"]
-    assert any("no geometry" in line for line in result.not_carried_over)
-    assert problems(result.file) == []
 
 
 def test_a_missing_package_is_explained(tmp_path, monkeypatch, capsys):

@@ -11,7 +11,6 @@ from lumitree.core.device import on_device
 from lumitree.core.frames import LocalFrame, similarity
 from lumitree.core.harmonics import MAX_L, basis_array
 from lumitree.core.octahedral import middle_directions, solid_angles
-from lumitree.errors import LumitreeError
 from lumitree.octree.leaves import leaf_cells
 from lumitree.output.viewer.light_as_field import (
     DEFAULT_VIEW,
@@ -19,8 +18,6 @@ from lumitree.output.viewer.light_as_field import (
     brightest_view,
     light_as_field,
 )
-from support.fields import random_asset
-from support.light_fields import random_light_field
 
 SPOT = np.array([0.3, -0.9, 0.2]) / np.linalg.norm([0.3, -0.9, 0.2])
 
@@ -100,20 +97,6 @@ def test_light_in_single_bins_keeps_its_flux(mi, resolution):
     found = shown.max_radiance * DENSITY / (1 + np.exp(-logit)) @ solid_angles(16)
     expected = np.einsum("mbc,b->mc", intensity, solid_angles(resolution))
     assert found == pytest.approx(expected, rel=0.1, abs=1e-12)
-
-
-def test_noise_and_darkness_do_not_stop_it(mi):
-    asset = dataclasses.replace(random_asset(3), light_field=random_light_field(2))
-    shown = light_as_field(asset)
-    assert np.isfinite(shown.coefficients).all()
-    assert shown.num_leaves == len(asset.light_field.cells)
-
-
-def test_emission_beyond_all_assets_is_one_line(mi):
-    light_field = make_light_field(np.zeros((1, 3), int), np.full((1, 16, 3), 1e15), 1)
-    asset = light_field_asset(light_field, LocalFrame((1, 1e-3, 1), np.eye(4)), "lamp")
-    with pytest.raises(LumitreeError, match="maximum radiance"):
-        light_as_field(asset)
 
 
 def test_the_first_view_is_one_that_light_goes_to(mi):

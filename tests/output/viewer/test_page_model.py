@@ -122,16 +122,6 @@ def test_codes_are_those_of_the_triangles():
     assert not model.arrays["places"][emitting].any()
 
 
-def test_an_asset_without_light_is_dark():
-    from lumitree.output.viewer.model import page_model
-
-    dark = tuple({**shape, "radiance": None} for shape in small_geometry().shapes)
-    asset = with_geometry(small_geometry(shapes=dark), LocalFrame(np.ones(3), np.eye(4)))
-    model = page_model(asset)
-    assert not model.arrays["light"].any()
-    assert model.description["max_radiance"] == 1
-
-
 def test_a_pattern_is_the_image_relative_to_its_largest_value():
     import base64
     import io

@@ -1,5 +1,6 @@
 """Illuminance of planes, surfaces and points of a scene.
 
-What a lamp sends straight is a sum over the cells of its light field, which is the control variate
-of emitter sampling with shadows (`estimate`); what surfaces reflect is traced.
+Direct light from the light field of a lamp is a sum over cells, the control variate of emitter
+sampling with shadows (`estimate`). Straight light of a lamp with geometry is sampled, and what
+surfaces reflect is traced.
 """

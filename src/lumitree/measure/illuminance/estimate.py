@@ -1,7 +1,8 @@
 """Illuminance with standard errors, until it is known well enough.
 
-The direct part of baked luminaires is a sum over the cells of their light fields (`S` below), which
-holds where nothing of the scene shadows a receiver. What is shadowed is sampled.
+Direct light from the light fields of baked luminaires is a sum over their cells (`S` below), which
+holds where nothing of the scene shadows a receiver. Shadows are sampled, and so is the straight
+light of luminaires with geometry, which their light fields do not give.
 
 Symbols
     t   sample of direct illuminance, by emitter sampling

@@ -148,8 +148,9 @@ def illuminance(
 ) -> IlluminanceResult:
     """Illuminance of planes, surfaces and points of a scene, with standard errors.
 
-    All lights of the scene count, with reflections of any number. What baked luminaires send
-    straight is summed over their light fields; only what shadows it is sampled.
+    All lights of the scene count, with reflections of any number. Direct light from
+    the light fields of baked luminaires is summed, and only its shadows are sampled. Straight light
+    of luminaires with geometry is sampled, with shadow rays to their emitters.
 
     Args:
         scene: as for `render`, but it needs no camera, and its integrator does not count. It may

@@ -80,24 +80,25 @@ class DeferredEmitter(ABC):
 
     @abstractmethod
     def is_summed(self, point: mi.Point3f, active: mi.Bool) -> mi.Bool:
-        """Whether `irradiance` knows what receivers at points of the scene get."""
+        """Whether `irradiance` has the stored light that receivers at points of the scene get."""
 
     @abstractmethod
     def irradiance(
         self, point: mi.Point3f, n: mi.Vector3f, random: mi.PCG32, active: mi.Bool
     ) -> mi.Color3f:
-        """Irradiance of receivers that nothing but the lamp shadows, without sampling directions.
+        """Irradiance by stored light that nothing in the scene shadows, without sampled directions.
 
-        Points and unit normals are in the scene. Only receivers of `is_summed` may be active.
+        Straight light that is traced is not in it. Points and unit normals are in the scene. Only
+        receivers of `is_summed` may be active.
         """
 
     @abstractmethod
     def sample_target(
         self, it: mi.Interaction3f, sample: mi.Point2f, own: mi.Bool, active: mi.Bool
     ) -> EmitterSample:
-        """First half of `sample_direction`: a direction towards the proxy.
+        """First half of `sample_direction`: a direction to stored light, or to the lamp's emitters.
 
-        From vertices on the lamp's `own` surfaces, and in its media, towards its own emitters.
+        From vertices on the lamp's `own` surfaces, and in its media, it leads to the emitters.
         """
 
     @abstractmethod

@@ -1,7 +1,7 @@
 """The emitter and the glass of a lamp's own shapes, where an image shows the geometry of an asset.
 
 The bent light of a lamp reaches a scene from its light field, and its straight light from its
-shapes, which next-event estimation of the scene does not sample: that of the lamp does
+shapes. Mitsuba's emitter sampling does not find these, but emitter sampling of the lamp does
 (`sampling.straight_light`). At vertices on the lamp, they emit only where the path shows the lamp.
 The integrator `lumitree_path` makes this distinction; others see shapes that do not emit.
 
@@ -51,8 +51,8 @@ class GeometryEmitter(Protocol):
             ds: from `it` to the point.
 
         Returns:
-            Radiance towards `si.wi`; and density per steradian that stands for that of emitter
-            sampling of the lamp (`StraightSample.density`).
+            Radiance towards `si.wi`; and the density per steradian that multiple importance
+            sampling takes for emitter sampling of the lamp (`Target.density`).
         """
         ...
 

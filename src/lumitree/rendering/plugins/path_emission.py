@@ -38,7 +38,7 @@ def add_emission(scene: PathScene, path: PathState, hit: Hit) -> None:
     emitter_pdf = dr.select(emitter_pmf > 0, emitter_pdf * emitter_pmf, 0)
     weight = mis_weight(path.bsdf_pdf_prev, emitter_pdf)
     contribution = path.β * weight * light
-    path.add_light(scene, ds.emitter, contribution, path.specular_chain, seen)
+    path.add_light(scene, ds.emitter, contribution, path.specular_chain, seen, hit.shown)
 
 
 def sample_emitter(
@@ -77,9 +77,10 @@ def add_emitter_light(
     active &= ~(vertex.opaque & on_opposite_sides(si, path.ray.d, ds.d))
     light = path.β * scattering.value_em
     active &= dr.max(light) > 0
-    light *= visible(
-        scene, si, ds, choice.sampled.beyond, choice.selected.index, path.medium, active
-    )
+    # What passes a lamp's glass is in its light field, of which its own surfaces get nothing.
+    own = choice.selected.index == vertex.owner
+    target = dr.select(own, NONE, choice.selected.index)
+    light *= visible(scene, si, ds, choice.sampled.beyond, target, path.medium, active)
     active &= dr.max(light) > 0
     emitter_pmf = choice.selected.emitter_pmf
     weight, pdf = scene.lamps.call(
@@ -89,4 +90,5 @@ def add_emitter_light(
     pdf *= emitter_pmf
     needs_no_mis = ds.delta | choice.sampled.includes_mis
     light *= weight * dr.select(needs_no_mis, 1, mis_weight(pdf, scattering.pdf_em))
-    path.add_light(scene, choice.emitter, light, mi.Bool(False), active)
+    own = choice.selected.index == vertex.owner
+    path.add_light(scene, choice.emitter, light, mi.Bool(False), active, own)

@@ -109,10 +109,11 @@ class PathState:
         light: mi.Spectrum,
         seen: mi.Bool,
         active: mi.Bool,
+        shown: mi.Bool | bool = False,
     ) -> None:
-        """Add light of an emitter, whose image the path shows where `seen`."""
+        """Add light of an emitter; `seen` and `shown` as for `Layers.add_light`."""
         self.L[active] += light
-        scene.layers.add_light(self.record, emitter, light, seen, active)
+        scene.layers.add_light(self.record, emitter, light, seen, mi.Bool(shown), active)
 
 
 @dataclass

@@ -21,7 +21,7 @@ from lumitree.rendering.sampling.emitter_sampling import (
     Sampling,
     Target,
 )
-from lumitree.rendering.sampling.light_field import device_light_field
+from lumitree.rendering.sampling.light_field import DeviceLightField, device_light_field
 from lumitree.rendering.sampling.light_inside import InsideLight, inside_light
 from lumitree.rendering.sampling.light_leaves import light_leaves
 from lumitree.rendering.sampling.proxy import BoxProxy, cone_pdf
@@ -59,15 +59,16 @@ def look(
     active: mi.Bool | bool,
     *,
     parallel: bool = False,
+    light: DeviceLightField | None = None,
 ) -> tuple[mi.Color3f, mi.Float]:
     """Radiance and transmittance of a lamp in an image, as `Field.emission`.
 
-    An asset whose field is empty shows its light field, which hides nothing; `parallel` as for
-    `DeviceLightField.eval`.
+    An asset whose field is empty shows its light field (`light`, if it is on the device), which
+    hides nothing; `parallel` as for `DeviceLightField.eval`.
     """
     if asset.light_field is None or asset.num_leaves:
         return field.emission(origin, direction, active)
-    light = device_light_field(asset)
+    light = light or device_light_field(asset)
     radiance, _ = light.eval(origin, origin, direction, mi.Float(0), active, parallel=parallel)
     return radiance, dr.full(mi.Float, 1, dr.width(radiance))
 
@@ -79,9 +80,16 @@ class DividedSampler(DirectionSampler):
     the radiance that receivers get. Images show the field, as `look` has it.
     """
 
-    def __init__(self, asset: Asset, field: Field, uniform: BoxProxy | None = None) -> None:
+    def __init__(
+        self,
+        asset: Asset,
+        field: Field,
+        uniform: BoxProxy | None = None,
+        *,
+        rough: bool = False,
+    ) -> None:
         self._asset, self._field, self._uniform = asset, field, uniform
-        self._light = device_light_field(asset)
+        self._light = device_light_field(asset, rough=rough)
 
     def sample(
         self, x: mi.Point3f, sample: mi.Point2f, active: mi.Bool | bool = True
@@ -95,7 +103,7 @@ class DividedSampler(DirectionSampler):
         self, entry: mi.Point3f, direction: mi.Vector3f, active: mi.Bool | bool
     ) -> tuple[mi.Color3f, mi.Float]:
         """Radiance and transmittance along rays of an image."""
-        return look(self._asset, self._field, entry, direction, active)
+        return look(self._asset, self._field, entry, direction, active, light=self._light)
 
     def eval(
         self,
@@ -170,7 +178,8 @@ class CellSampler(DividedSampler):
     includes_mis = True
 
     def __init__(self, asset: Asset, field: Field, *, bent: bool = False) -> None:
-        super().__init__(asset, field)
+        # What is bent is for `lumitree_path`, and all light for other integrators alone.
+        super().__init__(asset, field, rough=bent)
         self._stored = device_light_field(asset, bent=True) if bent else self._light
         self._inside: InsideLight | None = None
         self._radius = parameter(mi.Float, float(np.linalg.norm(asset.frame.half_extents)))

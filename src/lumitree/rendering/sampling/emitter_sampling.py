@@ -141,7 +141,8 @@ class DirectionSampler(Protocol):
     ) -> mi.Color3f:
         """Irradiance of receivers outside the box, as `EmittedLight.irradiance`.
 
-        Of a sampler with `includes_mis`, of light of targets of the place `OUTSIDE`; 0 of others.
+        It is by the light of targets of the place `OUTSIDE`; 0 for a sampler without
+        `includes_mis`.
         """
         return mi.Color3f(0)
 

@@ -11,7 +11,6 @@ from lumitree.core.device import on_device
 from lumitree.octree.build import build_children
 from lumitree.octree.leaves import grid_boxes_inside
 from lumitree.octree.traversal import Octree
-from lumitree.rendering.sampling.proxy import safe_inverse, slab
 
 
 class LightCells:
@@ -43,12 +42,3 @@ class LightCells:
         lower = dr.gather(mi.Point3f, self.corners, 2 * cell, active)
         upper = dr.gather(mi.Point3f, self.corners, 2 * cell + 1, active)
         return dr.lerp(lower, upper, within)
-
-    def border(
-        self, x: mi.Point3f, direction: mi.Vector3f, cell: mi.UInt32, active: mi.Bool | bool = True
-    ) -> mi.Float:
-        """Distance at which a ray that meets a cell enters it; 0 if it starts in it."""
-        lower = dr.gather(mi.Vector3f, self.corners, 2 * cell, active)
-        upper = dr.gather(mi.Vector3f, self.corners, 2 * cell + 1, active)
-        near, _ = slab((lower + upper) / 2 - x, (upper - lower) / 2, safe_inverse(direction))
-        return dr.maximum(dr.max(near), 0)

@@ -55,7 +55,7 @@ from lumitree.rendering.sampling.receiver_cells import ReceiverCells
 from lumitree.rendering.sampling.samples import divide_sample, resample, scrambled
 
 # Cells of receivers, see `receiver_cells`.
-_RESOLUTION, _NUM_SHELLS, _SHELL_WIDTH = 16, 4, 0.3
+_RECEIVERS, _ROUGH = (16, 4, 0.3), (4, 1, 1.2)
 # Entries of the table, of 8 bytes: lamps with more cells have fewer rows.
 _MAX_ENTRIES = 1 << 24
 # Points that one is chosen of. With more, a sample takes longer than its noise is worth.
@@ -66,20 +66,26 @@ _LIGHTS: weakref.WeakKeyDictionary[LightField, dict[tuple[object, ...], DeviceLi
 )
 
 
-def device_light_field(asset: Asset, *, bent: bool = False) -> DeviceLightField:
-    """Device copy of an asset's light field, or of its bent light, shared by its instances."""
+def device_light_field(
+    asset: Asset, *, bent: bool = False, rough: bool = False
+) -> DeviceLightField:
+    """Device copy of an asset's light field, or of its bent light, shared by its instances.
+
+    A `rough` one has a small table, which is soon made.
+    """
     assert asset.light_field is not None
     lights = _LIGHTS.setdefault(asset.light_field, {})
-    key = str(mi.variant()), asset.gain, bent
+    key = str(mi.variant()), asset.gain, bent, rough
     if key not in lights:
+        field = asset.light_field.bent_light if bent else asset.light_field
+        light = DeviceLightField(
+            field,
+            asset.frame.half_extents,
+            asset.gain,
+            None if bent else emitted_light(asset),
+            _ROUGH if rough else _RECEIVERS,
+        )
         # Mitsuba creates plugins in parallel: of two copies, the first is kept.
-        half_extents = asset.frame.half_extents
-        if bent:
-            light = DeviceLightField(asset.light_field.bent_light, half_extents, asset.gain)
-        else:
-            light = DeviceLightField(
-                asset.light_field, half_extents, asset.gain, emitted_light(asset)
-            )
         return lights.setdefault(key, light)
     return lights[key]
 
@@ -90,6 +96,7 @@ class DeviceLightField:
     Args:
         gain: [3] factors on R, G and B, not all 0.
         emitted: what it emits, if it is on the device already.
+        receivers: resolution, shells and their width, see `receiver_cells`.
     """
 
     def __init__(
@@ -98,6 +105,7 @@ class DeviceLightField:
         half_extents: NDArray[np.float64],
         gain: tuple[float, float, float] = (1.0, 1.0, 1.0),
         emitted: EmittedLight | None = None,
+        receivers: tuple[int, int, float] = _RECEIVERS,
     ) -> None:
         # What receivers inside the box get (`light_inside`).
         self.inside: Any = None
@@ -106,11 +114,11 @@ class DeviceLightField:
         self.cells, self.scale = self.emitted.cells, self.emitted.scale
         count, self._resolution = len(field.cells), field.resolution
         self._radius = parameter(mi.Float, float(np.linalg.norm(half_extents)))
-        resolution = _RESOLUTION
-        while resolution > 2 and resolution**2 * _NUM_SHELLS * count > _MAX_ENTRIES:
+        resolution, shells, _ = receivers
+        while resolution > 2 and resolution**2 * shells * count > _MAX_ENTRIES:
             resolution //= 2
         self.diffuse = dr.rcp(np.pi * self._radius)
-        self._around = ReceiverCells(half_extents, resolution, _NUM_SHELLS, _SHELL_WIDTH)
+        self._around = ReceiverCells(half_extents, resolution, *receivers[1:])
         by_cell = self.emitted.by_cell
         self._table = cell_table(
             self._around, self.cells.corners, self._towards, self.scale, by_cell

@@ -38,9 +38,9 @@ from lumitree.rendering.sampling.samples import resample, scrambled
 
 # Clusters at most, the depth of the finest grid whose cells they are, and how many are candidates.
 _CLUSTERS, _DEPTH, _CANDIDATES = 16, 5, 2
-# Part of what emitters would send if nothing were in the way that is added to the light field's
-# straight light: paths may have missed some. A part of its mean over all directions is added, too.
-_MISSED, _ANYWHERE = 0.05, 0.2
+# Part of what emitters would send if nothing were in the way that is straight light at least: paths
+# may have missed some. A part of its mean over all directions is added to it.
+_MISSED, _ANYWHERE = 0.02, 0.2
 # Cells of receivers, see `receiver_cells`.
 _RECEIVERS = (16, 4, 0.3)
 # Bins of direction a side, and entries of the table of elements by direction: lamps with more
@@ -93,8 +93,8 @@ class StraightLight:
         self._bins, self._count = _BINS, parameter(mi.UInt32, len(area))
         while self._bins > 1 and self._bins**2 * len(area) > _MAX_ENTRIES:
             self._bins //= 2
-        towards = np.maximum(middle_directions(self._bins) @ each.normal.T, 0)
-        words, chance = _alias_rows((weight * (towards + _SPREAD / 4))[:, order], first)
+        sent = weight * (np.maximum(middle_directions(self._bins) @ each.normal.T, 0) + _SPREAD / 4)
+        words, chance = _alias_rows(sent[:, order], first)
         self._alias, self._chance = on_device(mi.UInt32, words), on_device(mi.Float, chance)
 
         flux = np.asarray(np.bincount(cluster, weight), np.float64)
@@ -109,9 +109,11 @@ class StraightLight:
         self._middles = on_device(mi.Float, np.concatenate([middles, size[:, None]], axis=1))
         self._resolution = 8 if field is None else field.resolution
         bare = _bare(cluster, light @ np.array(gain), each.normal, self._resolution)
-        seen = _MISSED * bare
+        seen = bare
         if field is not None:
-            seen += _straight(field, middles, gain)
+            # Of what is hidden in part, the root mean square of samples, and not their mean.
+            straight = _straight(field, middles, gain)
+            seen = np.sqrt(np.maximum(straight, _MISSED * bare) * bare)
         # What receivers outside the box get of clusters, and others.
         self._intensity = on_device(mi.Float, np.stack([seen, bare]))
         self._clusters = parameter(mi.UInt32, len(flux))
@@ -242,13 +244,12 @@ def _bare(
     Args:
         light: [E] area times radiance of elements.
     """
-    directions = middle_directions(resolution)
-    found = np.zeros((cluster.max() + 1, resolution**2))
-    for each in range(len(found)):
-        of = cluster == each
-        found[each] = light[of] @ np.maximum(normal[of] @ directions.T, 0)
-        found[each] += _ANYWHERE / 4 * light[of].sum()
-    return found
+    count = _BINS**2
+    facing = np.array(bin_of(on_device(mi.Vector3f, normal), _BINS, bevelled=False), np.int64)
+    by_normal = np.bincount(cluster * count + facing, light, (cluster.max() + 1) * count)
+    by_normal = by_normal.reshape(-1, count)
+    towards = np.maximum(middle_directions(_BINS) @ middle_directions(resolution).T, 0)
+    return by_normal @ (towards + _ANYWHERE / 4)
 
 
 def _straight(
@@ -259,9 +260,7 @@ def _straight(
     by_cell = field.dense(straight)
     centres = (field.cells + 0.5) * (2 / (1 << field.depth)) - 1
     nearest = KDTree(middles).query(centres)[1]
-    found = np.zeros((len(middles), by_cell.shape[1]))
-    np.add.at(found, nearest, by_cell)
-    return found
+    return np.stack([by_cell[nearest == i].sum(axis=0) for i in range(len(middles))])
 
 
 def _alias_rows(

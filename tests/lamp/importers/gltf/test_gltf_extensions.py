@@ -5,7 +5,7 @@ import pytest
 
 from lumitree.lamp.parts import Diffuse, Glass, Principled
 from support.gltf_builder import Gltf
-from support.gltf_materials import RAMP, extended, material_of, read_only
+from support.gltf_materials import extended, material_of, read_only
 
 
 def test_transmission_of_a_sheet_is_thin_glass(tmp_path):
@@ -28,15 +28,6 @@ def test_other_transmitting_sheets_are_thin_and_principled(tmp_path, core, trans
     factor = transmission["transmissionFactor"]
     expected = Principled((1.0, 1.0, 1.0), roughness=core["roughnessFactor"])
     assert surface == type(surface)(**vars(expected) | {"transmission": factor, "thin": True})
-
-
-def test_transmission_textures_of_sheets_that_are_metal(tmp_path):
-    gltf = Gltf()
-    transmission = {"transmissionFactor": 0.5, "transmissionTexture": gltf.texture(RAMP)}
-    fields = extended({"metallicFactor": 1}, transmission=transmission)
-    surface = material_of(tmp_path, gltf, fields).surface
-    assert surface.metallic == 1
-    np.testing.assert_allclose(surface.transmission.pixels, RAMP[..., :1] * 0.5, atol=0.51)
 
 
 def body_of(tmp_path, fields, notes="", **node):
@@ -81,14 +72,6 @@ def test_without_thickness_a_body_is_a_thin_shell(tmp_path):
     assert body_of(tmp_path, fields) == Glass(thin=True)
 
 
-def test_volumes_of_clouded_bodies_are_tints(tmp_path):
-    fields = extended(transmission={"transmissionFactor": 0.5}, volume=VOLUME)
-    surface = body_of(tmp_path, fields, "attenuation")
-    assert isinstance(surface, Principled)
-    assert not surface.thin
-    np.testing.assert_allclose(surface.base_color, np.array([0.5, 0.25, 1]) ** 0.25)
-
-
 def reflectance(ior):
     return ((ior - 1) / (ior + 1)) ** 2
 
@@ -108,30 +91,6 @@ def test_reflectance_at_normal_incidence(tmp_path, extensions, expected, notes):
     surface = material_of(tmp_path, Gltf(), extended(**extensions), notes).surface
     found = surface.specular * reflectance(surface.ior)
     assert found == pytest.approx(expected, abs=1e-6)
-
-
-def test_specular_does_not_bend_transmitted_light(tmp_path):
-    fields = extended(
-        {"roughnessFactor": 0},
-        transmission={"transmissionFactor": 1},
-        specular={},
-        ior={"ior": 1.6},
-    )
-    assert material_of(tmp_path, Gltf(), fields, "specular factors").surface.ior == 1.6
-
-
-def test_clear_coats(tmp_path):
-    coat = {"clearcoatFactor": 0.5, "clearcoatRoughnessFactor": 0.2}
-    surface = material_of(tmp_path, Gltf(), extended(clearcoat=coat)).surface
-    assert surface.clearcoat == 0.5
-    assert surface.clearcoat_roughness == 0.2
-    assert material_of(tmp_path, Gltf(), extended(clearcoat={})).surface.clearcoat == 0
-
-
-def test_sheen(tmp_path):
-    sheen = {"sheenColorFactor": [0.1, 0.4, 0.2], "sheenRoughnessFactor": 0.5}
-    assert material_of(tmp_path, Gltf(), extended(sheen=sheen), "sheen").surface.sheen == 0.4
-    assert material_of(tmp_path, Gltf(), extended(sheen={})).surface.sheen == 0
 
 
 def alphas(surface):
@@ -155,30 +114,6 @@ def test_anisotropy_in_other_directions_is_reported(tmp_path):
         along, across = alphas(surface)
         assert along == pytest.approx(across)
         assert along * across == pytest.approx(0.25 * (0.25 + 0.75 * 0.36))
-
-
-def test_anisotropy_textures(tmp_path):
-    gltf = Gltf()
-    pixels = np.array([[(255, 128, 255), (0, 128, 255), (255, 128, 0), (255, 128, 128)]])
-    anisotropy = {"anisotropyStrength": 1, "anisotropyTexture": gltf.texture(pixels)}
-    fields = extended({"roughnessFactor": 0.8}, anisotropy=anisotropy)
-    surface = material_of(tmp_path, gltf, fields).surface
-    aspect = 1 - 0.9 * surface.anisotropy.pixels[0, :, 0] / 255
-    alpha, strength = 0.64, np.array([1, 1, 0, 128 / 255])
-    np.testing.assert_allclose(1 / aspect, (alpha + (1 - alpha) * strength**2) / alpha, atol=0.02)
-
-
-@pytest.mark.parametrize(
-    ("extension", "notes"),
-    [
-        ({"iridescence": {"iridescenceFactor": 1}}, "iridescence (left out)"),
-        ({"iridescence": {}}, ""),
-        ({"dispersion": {"dispersion": 0.1}}, "dispersion (left out)"),
-        ({"dispersion": {}}, ""),
-    ],
-)
-def test_what_is_left_out_is_reported(tmp_path, extension, notes):
-    assert material_of(tmp_path, Gltf(), extended(**extension), notes).surface.ior == 1.5
 
 
 def test_diffuse_transmission_of_a_shade(tmp_path):

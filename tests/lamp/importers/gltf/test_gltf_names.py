@@ -8,7 +8,7 @@ from lumitree.errors import LumitreeError
 from lumitree.lamp.importers.overrides import emitting_area
 from lumitree.lamp.model_reading import read_model
 from lumitree.lamp.source import LuminaireSource
-from support.gltf_builder import QUAD, QUAD_FACES, Gltf
+from support.gltf_builder import Gltf
 
 # Light from the front only.
 pytestmark = pytest.mark.filterwarnings("ignore::lumitree.errors.LumitreeWarning")
@@ -38,15 +38,6 @@ def test_an_override_reaches_all_surfaces_of_a_material(tmp_path, key):
     assert flux_from_radiance(model.materials[0].radiance, area) == pytest.approx(1600)
 
 
-def test_materials_of_one_name_are_two(tmp_path):
-    gltf = Gltf()
-    for x in (0, 3):
-        gltf.quad(gltf.material(name="paint"), translation=[x, 0, 0])
-    model = model_of(tmp_path, gltf, "[material.paint_2]\nemitter = { radiance = 2 }")
-    assert [item.title for item in model.materials] == ["paint", "paint_2"]
-    assert [item.radiance for item in model.materials] == [None, (2.0, 2.0, 2.0)]
-
-
 def test_names_of_any_alphabet_are_those_of_the_file(tmp_path):
     gltf = Gltf()
     for name, x in (("灯泡", 0), ("灯罩", 3)):
@@ -72,34 +63,3 @@ def test_objects_that_share_a_mesh_are_chosen_apart(tmp_path):
     assert places_of(model_of(tmp_path, gltf, keep=["Lamp?B*"])) == [5, 6]
     assert places_of(model_of(tmp_path, gltf, drop=["Lamp B"])) == [0, 6]
     assert places_of(model_of(tmp_path, gltf, keep=["glow"])) == [0, 5, 6]
-
-
-def test_an_object_is_chosen_with_all_of_its_materials(tmp_path):
-    gltf = Gltf()
-    glow, grey = gltf.material(name="glow", **LIGHT), gltf.material(name="grey")
-    both = [gltf.primitive(QUAD, QUAD_FACES, material=each) for each in (glow, grey)]
-    gltf.node(*both, name="Lamp")
-    gltf.quad(grey, name="Table", translation=[0, -3, 0])
-    kept = model_of(tmp_path, gltf, keep=["Lamp"])
-    assert [part.material for part in kept.parts] == ["glow", "grey"]
-    assert [part.name for part in model_of(tmp_path, gltf, drop=["Lamp_2"]).parts] == [
-        "Lamp",
-        "Table",
-    ]
-
-
-@pytest.mark.parametrize("size", [0.3, 0.004])
-def test_places_of_integer_coordinates_stay_similar(mi, tmp_path, size):
-    """Their unit is that of the smallest step of a coordinate, 1 / 65535 of the mesh."""
-    from lumitree.lamp.loading import load_luminaire
-
-    gltf = Gltf()
-    half = np.sin(np.pi / 8)
-    gltf.quad(gltf.material(**LIGHT), rotation=[0, half, 0, np.cos(np.pi / 8)])
-    node = gltf.json["nodes"][0]
-    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float32) * 32767
-    gltf.json["meshes"][0]["primitives"][0]["attributes"]["POSITION"] = gltf.accessor(corners)
-    node["scale"] = [size / 65534] * 3
-    lamp = load_luminaire(gltf.save(tmp_path))
-    expected = size * np.array([np.sqrt(0.5), 1, np.sqrt(0.5)])
-    np.testing.assert_allclose(lamp.size, expected, rtol=1e-6)

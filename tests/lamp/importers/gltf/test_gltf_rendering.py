@@ -58,24 +58,6 @@ def transparent(core=None, **extensions):
 SHEET = 2 * 1.5 / (1.5**2 + 1)
 
 
-def unit_radiance():
-    """Fields of a material that emits 1 W/(m² sr), 683 cd/m²."""
-    strength = {"KHR_materials_emissive_strength": {"emissiveStrength": 683}}
-    return {"emissiveFactor": [1, 1, 1], "extensions": strength}
-
-
-def test_emissive_strength(mi, tmp_path):
-    seen = []
-    for strength in (1, 4, 16):
-        gltf = Gltf()
-        extension = {"KHR_materials_emissive_strength": {"emissiveStrength": strength}}
-        factor = [0.5, 0.25, 0.125]
-        gltf.quad(gltf.material(emissiveFactor=factor, extensions=extension))
-        seen.append(photographed(mi, imported(mi, gltf, tmp_path), 4, "path", background=0))
-    np.testing.assert_allclose(np.array(seen[0]) * 683, (0.5, 0.25, 0.125), rtol=1e-4)
-    np.testing.assert_allclose(np.array(seen) / seen[0], [[1] * 3, [4] * 3, [16] * 3], rtol=1e-4)
-
-
 def test_emissive_textures_keep_their_values(mi, tmp_path):
     gltf = Gltf()
     pixels = np.full((16, 16, 3), (188, 99, 255))
@@ -126,20 +108,7 @@ def test_attenuation_follows_the_size_of_a_body(mi, tmp_path):
     np.testing.assert_allclose(seen, colour**1.5, atol=0.008)
 
 
-def test_base_colour_tints_a_solid_once(mi, tmp_path):
-    gltf = Gltf()
-    vertices, faces = box((-4, -4, -1), (4, 4, 0))
-    colour = [0.81, 0.36, 0.09]
-    fields = transparent(
-        {"baseColorFactor": [*colour, 1]}, volume={"thicknessFactor": 1}, ior={"ior": 1.0}
-    )
-    gltf.node(gltf.primitive(vertices, faces, material=gltf.material(**fields)))
-    seen = photographed(mi, imported(mi, gltf, tmp_path), 64)
-    np.testing.assert_allclose(seen, colour, atol=0.005)
-
-
-@pytest.mark.parametrize("inside_out", [False, True])
-@pytest.mark.parametrize("roughness", [0, 0.2])
+@pytest.mark.parametrize(("inside_out", "roughness"), [(False, 0.2), (True, 0)])
 def test_clear_glass_disappears_in_a_furnace(mi, tmp_path, inside_out, roughness):
     gltf = Gltf()
     fields = transparent({"roughnessFactor": roughness}, volume={"thicknessFactor": 1})
@@ -188,9 +157,9 @@ def test_texture_transforms_by_evaluation(mi, tmp_path):
     np.testing.assert_allclose(found[~near_edge], expected[~near_edge], atol=2e-3)
 
 
-@pytest.mark.parametrize("mirrored", [False, True])
-@pytest.mark.parametrize("rotation", [0.0, np.pi / 2, 0.7])
-@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize(
+    ("mirrored", "rotation", "axis"), [(False, 0.0, 0), (True, 0.7, 1), (True, np.pi / 2, 0)]
+)
 def test_normal_maps_lean_the_right_way(mi, tmp_path, mirrored, rotation, axis):
     """A normal that leans to the right, or up, in the image does so on the surface.
 
@@ -230,29 +199,10 @@ def test_normal_maps_lean_the_right_way(mi, tmp_path, mirrored, rotation, axis):
     assert lit_from([*across, height]) == pytest.approx(lit_from([*-across, height]), rel=0.05)
 
 
-def test_vertex_colours_reach_mitsuba(mi, tmp_path):
-    gltf = Gltf()
-    colours = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]], np.float32)
-    core = {"metallicFactor": 0, "baseColorFactor": [0.5, 1, 1, 1]}
-    wears = gltf.material(pbrMetallicRoughness=core)
-    normals = np.tile([0, 0, 1], (4, 1)).astype(np.float32)
-    primitive = gltf.primitive(QUAD, QUAD_FACES, material=wears, COLOR_0=colours, NORMAL=normals)
-    gltf.node(primitive)
-    found = looked_up(mi, imported(mi, gltf, tmp_path), [0.0, -0.999, 0.999], [0.0, 0.999, 0.999])
-    np.testing.assert_allclose(found, [[0.25, 0, 0.5], [0.5, 1, 1], [0, 0, 1]], atol=0.01)
-
-
-def test_masked_light_shines_only_where_it_is(mi, tmp_path):
-    gltf = Gltf()
-    pixels = np.zeros((64, 64, 4))
-    pixels[:, 32:, 3] = 255
-    core = {"baseColorTexture": gltf.texture(pixels, magFilter=9728)}
-    wears = gltf.material(pbrMetallicRoughness=core, alphaMode="MASK", **unit_radiance())
-    gltf.quad(wears)
-    scene = imported(mi, gltf, tmp_path)
-    assert photographed(mi, scene, 64, background=0) == pytest.approx([0.5] * 3, abs=0.01)
-    # Black to reflect, transparent on the left: the background shines through there.
-    assert photographed(mi, scene, 64)[0] == pytest.approx(1.0, abs=0.05)
+def unit_radiance():
+    """Fields of a material that emits 1 W/(m² sr), 683 cd/m²."""
+    strength = {"KHR_materials_emissive_strength": {"emissiveStrength": 683}}
+    return {"emissiveFactor": [1, 1, 1], "extensions": strength}
 
 
 def test_copies_and_mirrors_stand_where_the_file_puts_them(mi, tmp_path):

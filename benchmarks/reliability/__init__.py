@@ -1,1 +1,0 @@
-"""What `kills` needs: commands of seconds, kills, and comparisons of files."""
