@@ -6,21 +6,17 @@ import numpy as np
 import pytest
 
 import lumitree
-from lumitree.asset.asset import light_field_asset
 from lumitree.asset.light_field import make_light_field
 from lumitree.asset.light_inside import LightInside, parts_of_ending
 from lumitree.asset.lit_bins import by_coarse_bin
 from lumitree.asset.packed_colours import pack
 from lumitree.core.frames import rotation, similarity
-from lumitree.fit.light_field.bake import bake_light_field
-from lumitree.lamp.stored_geometry import stored_geometry
 from lumitree.octree.build import morton
 from lumitree.rendering.scene import place_shapes
-from support import tiny_bakes
-from support.lamps import GLASS, cube, lamp_of, sphere
+from support.explicit_lamps import BLACK, assert_alike, baked, blocks, camera
+from support.lamps import GLASS, cube, sphere
 from support.receivers import HALF, uniform_samples
 
-BLACK = '<bsdf type="diffuse"><rgb name="reflectance" value="0,0,0"/></bsdf>'
 GREY = '<bsdf type="diffuse"><rgb name="reflectance" value="0.5,0.5,0.5"/></bsdf>'
 RADIANCE = np.array([6.0, 5.0, 3.0])
 GLOWS = f'{BLACK}<emitter type="area"><rgb name="radiance" value="6,5,3"/></emitter>'
@@ -32,19 +28,6 @@ CORNERS = (
 )
 LAMP = (sphere("bulb", BULB, inside=GLOWS), cube("plate", (DISC, 0.02, DISC), (0, -0.5, 0), BLACK))
 PLACE = similarity(rotation([0, 1, 1], 20), 0.4, [0, 1, 0])
-
-
-def baked(folder, *shapes, paths=1 << 20):
-    """The luminaire of some shapes, and its asset with geometry."""
-    folder.mkdir(exist_ok=True)
-    lamp = lamp_of(folder, *shapes)
-    config = dataclasses.replace(
-        tiny_bakes.LIGHT_FIELD, paths=paths, batch=min(paths, 1 << 20), depth=5
-    )
-    asset = light_field_asset(
-        bake_light_field(lamp, config, folder / "state"), lamp.frame, lamp.name
-    )
-    return lamp, dataclasses.replace(asset, geometry=stored_geometry(lamp))
 
 
 @pytest.fixture(scope="module")
@@ -167,7 +150,7 @@ def test_points_and_rays_share_the_light(mi):
     sample = uniform_samples(mi, count).next_2d()
     every, end = mi.Bool(True), mi.Float(dr.inf)
     direction, target = light.sample_point(x, sample, every)
-    weight = light.contribution(direction, target, mi.Float(b), every)
+    weight = light.contribution(target, mi.Float(b), every)
     plain = mi.warp.square_to_uniform_sphere(uniform_samples(mi, count, 1).next_2d())
     rest = light.received(x, x, plain, mi.Float(1 / b), end, every)
     whole = light.received(x, x, plain, mi.Float(0), end, every)
@@ -202,33 +185,6 @@ def test_points_and_rays_share_the_light(mi):
         length = planes[1].min(axis=1) - np.maximum(planes[0].max(axis=1), 0)
         expected = (sent[:, fine[i]] * np.maximum(length, 0) / (upper - lower).prod(axis=1)).sum()
         assert np.array(whole)[1, i] == pytest.approx(expected, rel=0.01, abs=1e-4)
-
-
-def camera(mi, origin, target, fov):
-    film = {"type": "hdrfilm", "width": 24, "height": 24, "rfilter": {"type": "box"}}
-    look = mi.ScalarTransform4f().look_at(origin, target, [0, 1, 0])
-    return {"type": "perspective", "fov": fov, "to_world": look, "film": film, "near_clip": 1e-4}
-
-
-def blocks(mi, things, sensor, *, spp, passes=16, path_depth=6):
-    """Mean radiance of blocks of 6 by 6 pixels, and its standard error."""
-    scene = mi.load_dict({"type": "scene", "sensor": sensor, **things})
-    integrator = mi.load_dict({"type": "lumitree_path", "max_depth": path_depth})
-    images = [
-        np.array(mi.render(scene, integrator=integrator, spp=spp, seed=i))[..., :3].mean(axis=-1)
-        for i in range(passes)
-    ]
-    means = np.reshape(images, (passes, 4, 6, 4, 6)).mean(axis=(2, 4))
-    return means.mean(axis=0), means.std(axis=0, ddof=1) / passes**0.5
-
-
-def assert_alike(first, second, rel):
-    """Blocks agree within a part of their brightness, which the errors allow to tell."""
-    (a, error_a), (b, error_b) = first, second
-    error = np.hypot(error_a, error_b)
-    scale = np.maximum(b, 0.1 * b.max())
-    assert np.median(error / scale) < rel / 2
-    assert (np.abs(a - b) < rel * scale + 4 * error).all()
 
 
 def still_life(mi):

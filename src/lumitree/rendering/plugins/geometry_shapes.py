@@ -15,12 +15,12 @@ from lumitree.asset.geometry_media import MEDIA_SIDES, scattering_sides, side_me
 from lumitree.asset.materials import is_specular
 from lumitree.asset.textures import Json
 from lumitree.core.device import transforms_as_parameters
-from lumitree.core.frames import similarity_scale
+from lumitree.core.frames import LocalFrame, similarity_scale
 from lumitree.core.mitsuba_meshes import make_mesh
 from lumitree.rendering.plugins.geometry_materials import Materials, Radiance
 from lumitree.rendering.plugins.geometry_plugins import geometry_emitter_class, geometry_glass_class
 from lumitree.rendering.plugins.objects import make_object, make_properties
-from lumitree.rendering.sampling.emitting_elements import emitting_surface
+from lumitree.rendering.sampling.emitting_elements import EmittingSurface, emitting_surface
 from lumitree.rendering.sampling.straight_light import StraightLight
 
 _STRAIGHT: weakref.WeakKeyDictionary[Asset, dict[str, StraightLight]] = weakref.WeakKeyDictionary()
@@ -49,22 +49,27 @@ def straight_light(asset: Asset) -> StraightLight | None:
     """The emitters of an asset's geometry, shared by all instances of a lamp; None without any."""
     geometry = asset.geometry
     assert geometry is not None
-    emitting = [i for i, shape in enumerate(geometry.shapes) if shape["radiance"] is not None]
-    if not emitting:
-        return None
     lights, key = _STRAIGHT.setdefault(asset, {}), str(mi.variant())
     if key not in lights:
-        matrix = asset.frame.local_from_world @ geometry.file_from_geometry
-        surfaces, meshes = _surfaces(geometry), geometry.meshes()
-        found = []
-        for i in emitting:
-            radiance = surfaces.emitted(geometry.shapes[i]["radiance"])
-            source = radiance if radiance.constant is None else radiance.constant
-            found.append(emitting_surface(geometry.shapes[i], meshes[i], source, matrix))
+        surfaces = emitting_surfaces(geometry, asset.frame)
+        if not surfaces:
+            return None
         half_extents = asset.frame.half_extents
-        light = StraightLight(found, asset.light_field, half_extents, asset.gain)
+        light = StraightLight(surfaces, asset.light_field, half_extents, asset.gain)
         return lights.setdefault(key, light)
     return lights[key]
+
+
+def emitting_surfaces(geometry: AssetGeometry, frame: LocalFrame) -> list[EmittingSurface]:
+    """The shapes of a geometry that emit, in the local frame."""
+    matrix = frame.local_from_world @ geometry.file_from_geometry
+    found = []
+    for shape, mesh in zip(geometry.shapes, geometry.meshes(), strict=True):
+        if shape["radiance"] is not None:
+            radiance = _surfaces(geometry).emitted(shape["radiance"])
+            source = radiance if radiance.constant is None else radiance.constant
+            found.append(emitting_surface(shape, mesh, source, matrix))
+    return found
 
 
 class _Builder:

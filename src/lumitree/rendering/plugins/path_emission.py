@@ -34,7 +34,9 @@ def add_emission(scene: PathScene, path: PathState, hit: Hit) -> None:
     light, emitter_pdf = scene.lamps.call(
         hit_light, ds.emitter, hit.si, path.si_prev, ds, hit.shown, hit.straight, hit.hit_surface
     )
-    weight = mis_weight(path.bsdf_pdf_prev, emitter_pdf * emitter_pmf)
+    # A density may be infinite, as of a point that is seen along the surface from `si_prev`.
+    emitter_pdf = dr.select(emitter_pmf > 0, emitter_pdf * emitter_pmf, 0)
+    weight = mis_weight(path.bsdf_pdf_prev, emitter_pdf)
     contribution = path.β * weight * light
     path.add_light(scene, ds.emitter, contribution, path.specular_chain, seen, hit.shown)
 

@@ -225,7 +225,7 @@ class CellSampler(DividedSampler):
         weight = self._stored.contribution(target, other, outside)
         if self._inside is not None:
             inside = active & (place == INSIDE)
-            weight += self._inside.contribution(direction, target, other, inside)
+            weight += self._inside.contribution(target, other, inside)
         return weight, dr.select(active, mi.Float(1), 0)
 
     def eval_hit(

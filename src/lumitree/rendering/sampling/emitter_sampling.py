@@ -50,7 +50,7 @@ class Target:
         cell: index of the cell that the point is in: of the light field, or of the light inside.
         pmf: probability with which this cell is sampled.
         place: `OUTSIDE`, `INSIDE` or `STRAIGHT`.
-        bins: bin of the cell towards the receiver; unused for one inside.
+        bins: bin of the cell towards the receiver.
         factor: on the point's light, for the points that it was chosen of.
         light: straight light of the point, over the density with which it is sampled.
         total: estimate of the light of all points that the receiver may get, for the choice between

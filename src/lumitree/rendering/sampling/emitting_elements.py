@@ -88,18 +88,20 @@ def emitting_surface(
     corner: dict[str, Any] = {"normals": None, "texcoords": None}
     if mesh is None:
         matrix = matrix @ np.array(shape["to_world"], np.float64)
+    mirrored = mesh is None and np.linalg.det(matrix) < 0
     if kind != _FLAT:
         frame = np.concatenate([matrix[:3, 3:], matrix[:3, :3]], axis=1).T[None]
         if kind == _DISK:
-            frame[:, 3] = np.cross(frame[:, 1], frame[:, 2]) * np.sign(np.linalg.det(matrix))
+            frame[:, 3] = np.cross(frame[:, 1], frame[:, 2]) * (-1 if mirrored else 1)
             frame[:, 3] /= np.linalg.norm(frame[:, 3]) * (-1 if shape["flipped"] else 1)
-        return EmittingSurface(frame, kind, shape["flipped"], radiance)
+        # Mitsuba turns mirrored spheres inside out, and no mirrored cylinders.
+        inwards = shape["flipped"] != (mirrored and kind == _SPHERE)
+        return EmittingSurface(frame, kind, inwards, radiance)
     if mesh is None:
         corners = _RECTANGLE @ matrix[:3, :3].T + matrix[:3, 3]
         corner["texcoords"] = (_RECTANGLE[:, :, :2] + 1) / 2
-        mirrored = np.linalg.det(matrix) < 0
     else:
-        faces, mirrored = mesh["faces"], False
+        faces = mesh["faces"]
         corners = (mesh["vertices"] @ matrix[:3, :3].T + matrix[:3, 3])[faces]
         corner = {n: mesh[n][faces].astype(np.float64) if len(mesh[n]) else None for n in corner}
         if corner["normals"] is not None:
@@ -163,6 +165,7 @@ class Elements:
         every = emitted.sum()
         self.densities = emitted / every / areas if every > 0 else np.ones(len(areas)) / areas.sum()
         table[:, 4, 3] = self.densities[self.surface]
+        self._upload()
 
     def sort(self, order: NDArray[np.integer]) -> None:
         """Bring the elements on the device into an order; the attributes keep theirs."""

@@ -140,22 +140,17 @@ class InsideLight:
         offset = mi.Vector3f(self.cells.point(cell, scrambled(sample), active) - x)
         target = Target.at(dr.norm(offset))
         target.cell, target.pmf, target.place = cell, chance, mi.UInt32(INSIDE)
-        target.total = dr.sum(self._light(cell, -offset, target.distance, active))
+        target.bins = smooth_bin(-offset, self._resolution)
+        target.total = dr.sum(self._light(cell, target.bins, target.distance, active))
         volume = dr.gather(mi.Float, self.cells.volume, cell, active)
         target.total /= chance * dr.squared_norm(offset) + volume * self._outside.diffuse
         return offset / target.distance, target
 
-    def contribution(
-        self,
-        direction: mi.Vector3f,
-        target: Target,
-        other: mi.Float,
-        active: mi.Bool,
-    ) -> mi.Color3f:
-        """As `DeviceLightField.contribution`, of a unit direction."""
+    def contribution(self, target: Target, other: mi.Float, active: mi.Bool) -> mi.Color3f:
+        """As `DeviceLightField.contribution`."""
         volume = dr.gather(mi.Float, self.cells.volume, target.cell, active)
         density = target.pmf * dr.square(target.distance) + other * volume
-        light = self._light(target.cell, -direction, target.distance, active)
+        light = self._light(target.cell, target.bins, target.distance, active)
         return dr.select(active & (density > 0), light * (target.factor / density), 0)
 
     def received(
@@ -173,7 +168,7 @@ class InsideLight:
         """
         row = self._receivers.index(x)
         shared = mi.Bool(active) & (inverse > 0)
-        distance = dr.norm(entry - x)
+        distance, bins = dr.norm(entry - x), smooth_bin(-direction, self._resolution)
 
         def visit(state, cell, start, length, active):
             near = start + distance
@@ -181,19 +176,18 @@ class InsideLight:
             chance = self._table.probability(row, cell, active & shared)
             left = left_part(chance * inverse_volume, inverse, near, length)
             middle = near + length / 2
-            light = self._light(cell, -direction, middle, active)
+            light = self._light(cell, bins, middle, active)
             return (state[0] + dr.select(active, light * (left * inverse_volume), 0),), active
 
         state, span = (mi.Color3f(0),), (mi.Float(0), end)
         return self.cells.octree.traverse(entry, direction, active, visit, state, span)[0]
 
     def _towards(self, cell, offset, distance):
-        return self._light(cell, offset, distance, mi.Bool(True))
+        return self._light(cell, smooth_bin(offset, self._resolution), distance, mi.Bool(True))
 
-    def _light(self, cell, direction, distance, active):
-        """Radiant intensity (mi.Color3f) of a cell in a direction (mi.Vector3f), at a distance."""
+    def _light(self, cell, index, distance, active):
+        """Radiant intensity (mi.Color3f) of a cell in a bin of direction, at a distance."""
         row = dr.gather(mi.UInt32, self._rows, cell, active)
-        index = smooth_bin(direction, self._resolution)
         leaves = active & (row != _NONE)
         light = dr.select(leaves, self._outside.emitted.intensity(row, index, leaves), 0)
         if not self._has_curves:

@@ -77,11 +77,15 @@ class StraightLight:
         self._elements, self._gain = Elements(surfaces), parameter(mi.Color3f, *gain)
         each, area = self._elements, self._elements.area
         self.densities = each.densities
-        power = area * each.radiance.mean(axis=1)
-        mean = np.bincount(each.surface, power) / np.maximum(
-            np.bincount(each.surface, area), 1e-300
-        )
-        weight = power + _FLOOR * area * mean[each.surface]
+        # Flux of each surface over π, by channel.
+        power = np.zeros((len(surfaces), 3))
+        np.add.at(power, each.surface, area[:, None] * each.radiance)
+        areas = np.maximum(np.bincount(each.surface, area), 1e-300)
+        mean = power / areas[:, None]
+        light = area[:, None] * (each.radiance + _FLOOR * mean[each.surface])
+        weight = light.mean(axis=1)
+        # Black ones have a direction, too.
+        weight = np.maximum(weight, 1e-9 * weight.max() or 1.0)
         cluster, order = _clusters(each.middle)
         first = np.searchsorted(cluster[order], np.arange(cluster.max() + 2))
         each.sort(order)
@@ -89,13 +93,11 @@ class StraightLight:
         self._bins, self._count = _BINS, parameter(mi.UInt32, len(area))
         while self._bins > 1 and self._bins**2 * len(area) > _MAX_ENTRIES:
             self._bins //= 2
-        light = area * (each.radiance @ np.array(gain))
         sent = weight * (np.maximum(middle_directions(self._bins) @ each.normal.T, 0) + _SPREAD / 4)
         words, chance = _alias_rows(sent[:, order], first)
         self._alias, self._chance = on_device(mi.UInt32, words), on_device(mi.Float, chance)
 
         flux = np.asarray(np.bincount(cluster, weight), np.float64)
-        flux += 0.0 if flux.any() else 1.0
         middles = np.stack([np.bincount(cluster, weight * x) for x in each.middle.T], axis=1)
         middles /= flux[:, None]
         low, high = (
@@ -106,7 +108,7 @@ class StraightLight:
         size = ((high - low) ** 2).sum(axis=1) / 4
         self._middles = on_device(mi.Float, np.concatenate([middles, size[:, None]], axis=1))
         self._resolution = 8 if field is None else field.resolution
-        bare = _bare(cluster, light, each.normal, self._resolution)
+        bare = _bare(cluster, light @ np.array(gain), each.normal, self._resolution)
         seen = bare
         if field is not None:
             # Of what is hidden in part, the root mean square of samples, and not their mean.
@@ -116,7 +118,7 @@ class StraightLight:
         self._intensity = on_device(mi.Float, np.stack([seen, bare]))
         self._clusters = parameter(mi.UInt32, len(flux))
         self._around = ReceiverCells(half_extents, *_RECEIVERS)
-        scale = parameter(mi.Float, max(float(bare.max()), 1e-30))
+        scale = parameter(mi.Float, max(float(seen.max()), 1e-30))
         self._table = cell_table(self._around, self.corners, self._towards, scale, flux)
 
     def _offset(self, x, cluster, active):
@@ -274,8 +276,6 @@ def _alias_rows(
     chance = np.zeros(weight.shape, np.float32)
     for begin, end in itertools.pairwise(first):
         for row, each in enumerate(weight[:, begin:end]):
-            if not each.any():
-                continue
             threshold, alias = alias_row(each)
             threshold = threshold.astype(np.float32)
             words[row, begin:end, 0], words[row, begin:end, 1] = threshold.view(np.uint32), alias
