@@ -134,3 +134,20 @@ def test_sampled_irradiance_is_the_mean_over_levels(mi, light):
             assert abs(weight.mean() - expected) < 4 * noise + 1e-3 * expected
             # The error that is allowed is a root mean square over all directions.
             assert weight.mean() == pytest.approx(sums[0].mean(), rel=0.04)
+
+
+def test_a_lamp_whose_light_is_all_straight_has_levels(mi):
+    """Its bent light is one bin of next to nothing, so narrow here that it meets no receiver."""
+    import drjit as dr
+
+    from lumitree.rendering.sampling.light_field import DeviceLightField
+
+    cells, shape = some_light().cells[:1], (1, 256**2, 3)
+    straight = make_light_field(cells, np.ones(shape), DEPTH, bent=np.zeros(shape))
+    light = DeviceLightField(straight.bent_light, HALF)
+    x = dr.full(mi.Point3f, 3.0, 1 << 10)
+    direction, target = light.sample_point(x, uniform_samples(mi, 1 << 10).next_2d())
+    weight = np.array(light.contribution(target, mi.Float(0.1)))
+    assert np.isfinite(np.array(direction)).all()
+    assert (weight >= 0).all()
+    assert weight.max() < 1e-6

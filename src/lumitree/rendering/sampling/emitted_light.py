@@ -103,7 +103,9 @@ class EmittedLight:
             light = self.irradiance(x, mi.Vector3f(n), random, mi.Bool(True), level)
             found.append(luminance(np.array(light).T).reshape(-1, POINTS).mean(axis=1))
         first, *sums = found
-        return np.array([np.sqrt(np.square(each - first).mean()) for each in sums]) / first.mean()
+        error = np.array([np.sqrt(np.square(each - first).mean()) for each in sums])
+        # Of a lamp whose light is all straight, next to nothing is bent.
+        return error / first.mean() if first.any() else np.zeros(len(sums))
 
     def intensity(self, cell: mi.UInt32, index: mi.UInt32, active: mi.Bool | bool) -> mi.Color3f:
         """Radiant intensity of a bin of a cell."""
