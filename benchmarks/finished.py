@@ -12,7 +12,7 @@ Methods: the baked lamp with its geometry, and the explicit lamp, both by `lumit
 explicit lamp by Mitsuba's `path`, or `volpath` where it has media; and the best rival, a light
 tracer, with the path tracer where it sees nothing. All are denoised by Open Image Denoise (extra
 `denoise`). Samples are doubled until an image is finished, or costs more than `--seconds`. The time
-is that of a whole command: CPU seconds of a process that loads the scene, renders, filters and ends
+is CPU seconds of a whole command: of a process that loads the scene, renders, filters and ends
 (on a GPU seconds by the wall). Kernels are compiled by a command before it. The bake is stated
 apart.
 

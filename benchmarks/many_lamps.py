@@ -102,7 +102,7 @@ def write_lamps(work: Path, count: int, seed: int) -> None:
 def bake(work: Path, workers: int, options: argparse.Namespace) -> dict[str, float]:
     """Bake all lamps by so many workers; returns seconds and peak memory, of all calls.
 
-    What has been measured so far is in a file, to which the next call adds.
+    A file has the measurements so far, and the next call adds to it.
     """
     path = work / f"workers-{workers}.json"
     measured = {"seconds": 0.0, "peak_bytes": 0.0, "calls": 0.0, "finished": 0.0}

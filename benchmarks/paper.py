@@ -36,7 +36,7 @@ SHOWN: tuple[ScaleName, ...] = ("cpu", "gpu", "paper")
 
 @dataclasses.dataclass(frozen=True)
 class Setting:
-    """What a cell's process needs to know.
+    """Settings of the process of a cell.
 
     Attributes:
         scale: name of the scale.
@@ -58,7 +58,7 @@ class Setting:
 
     @property
     def store(self) -> Store:
-        """Of the scale's cells."""
+        """Where the results of the cells of the scale are."""
         return Store(self.results, self.images, self.scale)
 
     @property

@@ -124,7 +124,7 @@ def display_rows(
     weights: Floats | float = 1.0,
     reference: str = "explicit",
 ) -> tuple[dict[str, list[dict]], float]:
-    """`rmse_display` of the ladders and of the long runs, and that of the reference.
+    """`rmse_display` of the ladders, of the long runs and of the reference.
 
     The reference is the long run of one of them. Its own error is half the difference between the
     means of its odd and its even batches, and is subtracted from all others. Its last
@@ -161,12 +161,12 @@ def display_rows(
 def noise_of_mean(batches: Floats, weights: Floats | float = 1.0) -> float:
     """`rmse_display` of the mean of batches [K, H, W, 3] by their noise.
 
-    Half of that of the mean of the even batches against the mean of the odd ones.
+    Half of `rmse_display` of the mean of the even batches against the mean of the odd ones.
     """
     halves = batches[0::2].mean(0), batches[1::2].mean(0)
     return float(display_rmse(halves[0][None], halves[1], weights)[0]) / 2
 
 
 def _without(errors: Floats, own: float) -> float:
-    """Root of the mean of squared errors, without that of the reference."""
+    """Root of the mean of squared errors, without the error of the reference."""
     return float(np.sqrt(max((errors**2).mean() - own**2, 0.0)))

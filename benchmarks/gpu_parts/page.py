@@ -49,5 +49,5 @@ def _section(part: Part, values: dict[str, Any]) -> str:
     try:
         return part.show(values)
     except (KeyError, TypeError, ValueError) as error:
-        # Of a part that was ended early, or with a value that is not finite: others are shown.
+        # A part may have ended early, or have values that are not finite. Other parts are shown.
         return f"The values in {part.name}.json cannot be shown: {error!r}.\n"

@@ -191,27 +191,15 @@ def sharp(folder, mi, name):
             '<rgb name="specular_reflectance" value="0,0,0"/>'
             '<rgb name="specular_transmittance" value="{}"/></bsdf>'
         )
-        return (
-            bulb,
-            placed_shape("rectangle", "mask", mask, (0.6, 0.6, 1), (1, 0, 0, 90), (0, -0.5, 0)),
-            placed_shape(
-                "rectangle",
-                "red",
-                thin.format("0.9,0.2,0.1"),
-                (0.5, 0.5, 1),
-                (0, 1, 0, 90),
-                (0.6, 0, 0),
-            ),
-            placed_shape(
-                "rectangle",
-                "blue",
-                thin.format("0.1,0.3,0.9"),
-                (0.5, 0.5, 1),
-                (0, 1, 0, 0),
-                (0, 0, 0.6),
-            ),
-            *CORNERS,
-        )
+        panes = [
+            placed_shape("rectangle", colour, thin.format(rgb), (0.5, 0.5, 1), (0, 1, 0, turn), at)
+            for colour, rgb, turn, at in (
+                ("red", "0.9,0.2,0.1", 90, (0.6, 0, 0)),
+                ("blue", "0.1,0.3,0.9", 0, (0, 0, 0.6)),
+            )
+        ]
+        holes = placed_shape("rectangle", "mask", mask, (0.6, 0.6, 1), (1, 0, 0, 90), (0, -0.5, 0))
+        return (bulb, holes, *panes, *CORNERS)
     if name == "mixture":
         # Light that is straight, and light that a grey surface has reflected.
         grey = '<bsdf type="diffuse"><rgb name="reflectance" value="0.6,0.5,0.4"/></bsdf>'

@@ -183,10 +183,7 @@ class EmittingSurfaces:
         count = dr.width(self._shape_of)
         points = int(np.clip(_POINTS // count, _FEWEST, _MOST))
         entry, number = dr.meshgrid(dr.arange(mi.UInt32, count), dr.arange(mi.UInt32, points))
-        number = mi.Float(number) + 0.5
-        # An additive recurrence covers the unit square evenly (Roberts 2018).
-        place = mi.Point2f(0.7548776662466927, 0.5698402909980532) * number
-        si, index = self._point(entry, place - dr.floor(place), mi.Bool(True))
+        si, index = self._point(entry, even_places(number), mi.Bool(True))
         # Along the shading normal, which decides whether a surface emits.
         si.wi = mi.Vector3f(0, 0, 1)
         if mi.is_spectral:
@@ -194,6 +191,15 @@ class EmittingSurfaces:
         values = dr.mean(radiance(si, index), axis=0)
         found = np.array(dr.select(si.is_valid(), values, 0), np.float64)
         return np.maximum(found.reshape(points, count).mean(axis=0), 0)
+
+
+def even_places(number: mi.UInt32) -> mi.Point2f:
+    """Places of a number each that cover the unit square evenly: an additive recurrence.
+
+    Roberts 2018.
+    """
+    place = mi.Point2f(0.7548776662466927, 0.5698402909980532) * (mi.Float(number) + 0.5)
+    return place - dr.floor(place)
 
 
 def emitting_surfaces(scene: mi.Scene) -> EmittingSurfaces:

@@ -75,15 +75,14 @@ class LampLight:
 
     def eval_target(self, it, sampled, bsdf_pdf, emitter_pmf, active):
         x, direction = self.placed.local_line(it.p, sampled.ds.d)
-        sampled_pdf = bsdf_pdf
+        target = sampled.target
+        share = mis_weight(target.density * emitter_pmf, bsdf_pdf)
         near = sampled.ds.dist / self.placed.scale
         if not self.placed.holds:
             # Rays of the BSDF of a receiver that touches the box may not enter it.
             bsdf_pdf = dr.select(self.placed.touches(x), 0, bsdf_pdf)
             x = self.placed.receiver(x)
-        target = sampled.target
         straight = active & (target.place == STRAIGHT)
-        share = mis_weight(target.density * emitter_pmf, sampled_pdf)
         weight, density = self.sampler.eval_target(
             x, direction, near, target, bsdf_pdf, emitter_pmf, active & ~straight
         )

@@ -90,5 +90,4 @@ def add_emitter_light(
     pdf *= emitter_pmf
     needs_no_mis = ds.delta | choice.sampled.includes_mis
     light *= weight * dr.select(needs_no_mis, 1, mis_weight(pdf, scattering.pdf_em))
-    own = choice.selected.index == vertex.owner
     path.add_light(scene, choice.emitter, light, mi.Bool(False), active, own)

@@ -18,7 +18,6 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.alias_table import AliasTable
 from lumitree.core.device import parameter
 
 # Part of the samples of a cell that is by flux alone.
@@ -40,19 +39,6 @@ class Receivers(Protocol):
         ...
 
 
-def cell_table(
-    receivers: Receivers,
-    corners: mi.Float,
-    intensity: Intensity,
-    scale: mi.Float,
-    flux: NDArray[np.float64],
-    softening: float = 0.0,
-) -> AliasTable:
-    """A table of `cell_rows`; arguments as there."""
-    rows = cell_rows(receivers, corners, intensity, scale, flux, softening)
-    return AliasTable(rows, (receivers.count + 1, len(flux)))
-
-
 def cell_rows(
     receivers: Receivers,
     corners: mi.Float,
@@ -61,7 +47,9 @@ def cell_rows(
     flux: NDArray[np.float64],
     softening: float = 0.0,
 ) -> Iterator[NDArray[np.float64]]:
-    """Shares [.., C] of samples that each cell is to get, for each cell of receivers.
+    """Rows of an alias table: shares [.., C] of samples that each cell is to get.
+
+    There is a row for each cell of receivers.
 
     One more row is by flux alone.
 

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.device import on_device
+from lumitree.lamp.emitting_surfaces import even_places
 
 # Kinds of elements.
 _FLAT, _DISK, _CYLINDER, _SPHERE = range(4)
@@ -136,7 +137,8 @@ class Elements:
     Attributes:
         area: [E].
         surface: [E] index of the surface.
-        radiance: [E, 3] mean radiance.
+        radiance, surface_radiance: [E, 3] and [N, 3] mean radiance of the elements, and of the
+            surfaces.
         middle, normal: [E, 3].
         densities: [N] of the surfaces: what they emit, of all, over their area.
     """
@@ -160,10 +162,13 @@ class Elements:
         middle = self.point(entry, mi.Point2f(0.5, 0.5), active)
         self.middle, self.normal = (np.array(each, np.float64).T for each in (middle.p, middle.n))
         self.radiance = self._mean_radiance(len(table)) if self._textures else table[:, 4, :3]
-        emitted = np.bincount(self.surface, self.area * self.radiance.mean(axis=1))
         areas = np.maximum(np.bincount(self.surface, self.area), 1e-300)
-        every = emitted.sum()
-        self.densities = emitted / every / areas if every > 0 else np.ones(len(areas)) / areas.sum()
+        power = [np.bincount(self.surface, self.area * each) for each in self.radiance.T]
+        self.surface_radiance = np.stack(power, axis=1) / areas[:, None]
+        mean = self.surface_radiance.mean(axis=1)
+        # Black surfaces are sampled too, and what they emit is 0.
+        mean = mean if mean.any() else np.ones(len(mean))
+        self.densities = mean / (mean * areas).sum()
         table[:, 4, 3] = self.densities[self.surface]
         self._upload()
 
@@ -268,9 +273,7 @@ class Elements:
     def _mean_radiance(self, count: int) -> NDArray[np.float64]:
         """[E, 3] mean over some points of each element."""
         entry, number = dr.meshgrid(dr.arange(mi.UInt32, count), dr.arange(mi.UInt32, _POINTS))
-        # An additive recurrence covers the unit square evenly (Roberts 2018).
-        place = mi.Point2f(0.7548776662466927, 0.5698402909980532) * (mi.Float(number) + 0.5)
-        radiance = self.point(entry, place - dr.floor(place), mi.Bool(True)).radiance
+        radiance = self.point(entry, even_places(number), mi.Bool(True)).radiance
         found = np.array(radiance, np.float64).T.reshape(_POINTS, count, 3).mean(axis=0)
         return np.maximum(np.nan_to_num(found), 0)
 

@@ -21,11 +21,12 @@ from lumitree.asset.asset import Asset
 from lumitree.asset.light_field import LightField
 from lumitree.asset.lit_bins import dense
 from lumitree.asset.packed_colours import unpack
+from lumitree.core.alias_table import AliasTable
 from lumitree.core.device import on_device, parameter
 from lumitree.core.octahedral import coarse_bin, coarse_solid_angles, solid_angles
 from lumitree.core.photometry import luminance
 from lumitree.octree.build import morton
-from lumitree.rendering.sampling.cell_table import cell_table
+from lumitree.rendering.sampling.cell_table import cell_rows
 from lumitree.rendering.sampling.emitter_sampling import INSIDE, Target
 from lumitree.rendering.sampling.light_bins import (
     ending_by_bin,
@@ -122,7 +123,7 @@ class InsideLight:
             flux += inside.scale * (ending * coarse_solid_angles(self._resolution)).sum(axis=1)
         many = _RESOLUTION**3 * count > _MAX_ENTRIES
         self._receivers = InsideReceivers(half_extents, _RESOLUTION // 2 if many else _RESOLUTION)
-        self._table = cell_table(
+        rows = cell_rows(
             self._receivers,
             self.cells.corners,
             self._towards,
@@ -131,6 +132,7 @@ class InsideLight:
             np.maximum(flux, 1e-6 * flux.max()),
             softening=2.0**-field.depth,
         )
+        self._table = AliasTable(rows, (self._receivers.count + 1, count))
 
     def sample_point(
         self, x: mi.Point3f, sample: mi.Point2f, active: mi.Bool

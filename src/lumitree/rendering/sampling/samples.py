@@ -32,8 +32,7 @@ def resample(choice: mi.Float, light: mi.Float, total: mi.Float) -> tuple[mi.Boo
     Returns:
         With it a new number in [0, 1).
     """
-    taken, rest = divide_sample(choice, dr.select(total > 0, light / total, 0))
-    return taken, rest
+    return divide_sample(choice, dr.select(total > 0, light / total, 0))
 
 
 def sample_row(

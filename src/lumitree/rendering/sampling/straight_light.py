@@ -14,7 +14,6 @@ Symbols
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 
 import drjit as dr
@@ -25,11 +24,11 @@ from scipy.spatial import KDTree
 
 from lumitree.asset.light_field import LightField
 from lumitree.asset.packed_colours import unpack
-from lumitree.core.alias_table import alias_row
+from lumitree.core.alias_table import AliasTable
 from lumitree.core.device import on_device, parameter
 from lumitree.core.octahedral import bin_of, middle_directions
 from lumitree.octree.build import morton
-from lumitree.rendering.sampling.cell_table import cell_table
+from lumitree.rendering.sampling.cell_table import cell_rows
 from lumitree.rendering.sampling.emitter_sampling import STRAIGHT, Target
 from lumitree.rendering.sampling.emitting_elements import Elements, EmittingSurface
 from lumitree.rendering.sampling.light_bins import smooth_bin
@@ -64,7 +63,6 @@ class StraightLight:
     Attributes:
         densities: [N] of the surfaces: density per local area that stands for that of their points
             in weights of multiple importance sampling.
-        corners: mi.Float [K × 2 × 3], lower and upper corner of the middles of each cluster.
     """
 
     def __init__(
@@ -77,25 +75,20 @@ class StraightLight:
         self._elements, self._gain = Elements(surfaces), parameter(mi.Color3f, *gain)
         each, area = self._elements, self._elements.area
         self.densities = each.densities
-        # Flux of each surface over π, by channel.
-        power = np.zeros((len(surfaces), 3))
-        np.add.at(power, each.surface, area[:, None] * each.radiance)
-        areas = np.maximum(np.bincount(each.surface, area), 1e-300)
-        mean = power / areas[:, None]
-        light = area[:, None] * (each.radiance + _FLOOR * mean[each.surface])
+        light = area[:, None] * (each.radiance + _FLOOR * each.surface_radiance[each.surface])
         weight = light.mean(axis=1)
         # Black ones have a direction, too.
         weight = np.maximum(weight, 1e-9 * weight.max() or 1.0)
         cluster, order = _clusters(each.middle)
         first = np.searchsorted(cluster[order], np.arange(cluster.max() + 2))
         each.sort(order)
-        self._range = on_device(mi.UInt32, np.stack([first[:-1], np.diff(first)], axis=1))
-        self._bins, self._count = _BINS, parameter(mi.UInt32, len(area))
+        self._first, self._bins = on_device(mi.UInt32, first[:-1]), _BINS
         while self._bins > 1 and self._bins**2 * len(area) > _MAX_ENTRIES:
             self._bins //= 2
         sent = weight * (np.maximum(middle_directions(self._bins) @ each.normal.T, 0) + _SPREAD / 4)
-        words, chance = _alias_rows(sent[:, order], first)
-        self._alias, self._chance = on_device(mi.UInt32, words), on_device(mi.Float, chance)
+        rows = np.split(sent[:, order], first[1:-1], axis=1)
+        # A part for each cluster, with a row for each bin of direction.
+        self._entries = AliasTable(rows, *(each.shape for each in rows))
 
         flux = np.asarray(np.bincount(cluster, weight), np.float64)
         middles = np.stack([np.bincount(cluster, weight * x) for x in each.middle.T], axis=1)
@@ -104,7 +97,7 @@ class StraightLight:
             np.stack([f(x[order], first[:-1]) for x in each.middle.T], axis=1)
             for f in (np.minimum.reduceat, np.maximum.reduceat)
         )
-        self.corners = on_device(mi.Float, np.stack([low, high], axis=1))
+        corners = on_device(mi.Float, np.stack([low, high], axis=1))
         size = ((high - low) ** 2).sum(axis=1) / 4
         self._middles = on_device(mi.Float, np.concatenate([middles, size[:, None]], axis=1))
         self._resolution = 8 if field is None else field.resolution
@@ -119,7 +112,8 @@ class StraightLight:
         self._clusters = parameter(mi.UInt32, len(flux))
         self._around = ReceiverCells(half_extents, *_RECEIVERS)
         scale = parameter(mi.Float, max(float(seen.max()), 1e-30))
-        self._table = cell_table(self._around, self.corners, self._towards, scale, flux)
+        rows = cell_rows(self._around, corners, self._towards, scale, flux)
+        self._table = AliasTable(rows, (self._around.count + 1, len(flux)))
 
     def _offset(self, x, cluster, active):
         """From the middle of a cluster to a receiver, and half its diagonal in square."""
@@ -186,10 +180,11 @@ class StraightLight:
             sample: in the unit square, as for the target.
         """
         random = scrambled(mi.Point2f(sample.x, 1 - sample.y))
-        place, cluster = mi.Point2f(random.y, random.z), target.cell
+        place, cluster = mi.Point2f(random.y, random.z), dr.select(active, target.cell, 0)
         offset, _ = self._offset(x, cluster, active)
-        entry, chance = self._entry(cluster, offset, random.x, active)
-        active &= chance > 0
+        bins = bin_of(offset, self._bins, bevelled=False)
+        entry, chance = self._entries.sample(bins, random.x, active, cluster)
+        entry += dr.gather(mi.UInt32, self._first, cluster, active)
         found = self._elements.point(entry, place, active)
         offset = mi.Vector3f(found.p - x)
         squared = dr.squared_norm(offset)
@@ -202,21 +197,6 @@ class StraightLight:
         distance = dr.sqrt(squared)
         target.distance = dr.select(active, distance, target.distance)
         return offset / distance
-
-    def _entry(
-        self, cluster: mi.UInt32, towards: mi.Vector3f, sample: mi.Float, active: mi.Bool
-    ) -> tuple[mi.UInt32, mi.Float]:
-        """An element of a cluster by what it sends in a direction, and its probability."""
-        first = dr.gather(mi.UInt32, self._range, 2 * cluster, active)
-        count = dr.gather(mi.UInt32, self._range, 2 * cluster + 1, active)
-        row = bin_of(towards, self._bins, bevelled=False) * self._count + first
-        scaled = sample * mi.Float(count)
-        index = dr.minimum(mi.UInt32(scaled), count - 1)
-        word = dr.gather(mi.Vector2u, self._alias, row + index, active)
-        own = scaled - mi.Float(index) < dr.reinterpret_array(mi.Float, word.x)
-        index = dr.select(own, index, word.y)
-        chance = dr.gather(mi.Float, self._chance, row + index, active)
-        return first + index, chance
 
 
 def _clusters(middle: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -261,24 +241,3 @@ def _straight(
     centres = (field.cells + 0.5) * (2 / (1 << field.depth)) - 1
     nearest = KDTree(middles).query(centres)[1]
     return np.stack([by_cell[nearest == i].sum(axis=0) for i in range(len(middles))])
-
-
-def _alias_rows(
-    weight: NDArray[np.float64], first: NDArray[np.int64]
-) -> tuple[NDArray[np.uint32], NDArray[np.float32]]:
-    """Alias tables of the elements of each cluster, for weights [B, E].
-
-    Returns:
-        [B, E, 2] the bits of a threshold in float32, and an alias within the cluster; and [B, E]
-        probabilities.
-    """
-    words = np.zeros((*weight.shape, 2), np.uint32)
-    chance = np.zeros(weight.shape, np.float32)
-    for begin, end in itertools.pairwise(first):
-        for row, each in enumerate(weight[:, begin:end]):
-            threshold, alias = alias_row(each)
-            threshold = threshold.astype(np.float32)
-            words[row, begin:end, 0], words[row, begin:end, 1] = threshold.view(np.uint32), alias
-            rest = np.bincount(alias, 1.0 - threshold, end - begin)
-            chance[row, begin:end] = (threshold + rest) / (end - begin)
-    return words, chance
