@@ -9,9 +9,9 @@ import pytest
 
 import lumitree
 from lumitree.cli import main
+from lumitree.core.backend import num_cores
 from lumitree.core.images import read_exr
 from lumitree.core.process_pool import process_pool
-from lumitree.core.system import num_cores
 from lumitree.errors import LumitreeError
 from lumitree.fit.config import QUALITIES
 from lumitree.fit.light_field import batches

@@ -5,7 +5,7 @@ from .asset.asset import Asset as Asset
 from .asset.asset import AssetInfo as AssetInfo
 from .asset.file import save as save
 from .core.frames import LocalFrame as LocalFrame
-from .core.interrupt import Interrupted as Interrupted
+from .core.interruption import Interrupted as Interrupted
 from .core.process_pool import process_pool as process_pool
 from .core.progress import Progress as Progress
 from .core.progress import show_progress as show_progress

@@ -15,9 +15,8 @@ import pytest
 
 from lumitree._version import __version__
 from lumitree.core.executor import _run, check_executor, run_tasks, tasks_at_once
-from lumitree.core.files import WriteError
+from lumitree.core.files import BusyFolderError, WriteError
 from lumitree.core.process_pool import process_pool
-from lumitree.core.work_folder import BusyFolderError
 from lumitree.errors import LumitreeError, LumitreeWarning
 from support import executors
 from support.executors import LastFirst
@@ -208,10 +207,10 @@ def _task(*arguments):
 SCRIPT = """
 import sys
 from lumitree.core.executor import run_tasks
-from lumitree.core.interrupt import interruptible
-from lumitree.core.interrupt import Interrupted
+from lumitree.core.interruption import interruptible
+from lumitree.core.interruption import Interrupted
 from lumitree.core.process_pool import process_pool
-from lumitree.core.system import num_cores
+from lumitree.core.backend import num_cores
 from support import executors
 
 if __name__ == "__main__":
@@ -272,7 +271,7 @@ def test_a_signal_to_all_processes_ends_them(tmp_path):
     _, error = process.communicate(timeout=LONG)
     wait_for_end(workers)
     assert error.count("lumitree: stopping ...") == 1
-    assert error.rstrip().splitlines()[-1].startswith("lumitree.core.interrupt.Interrupted")
+    assert error.rstrip().splitlines()[-1].startswith("lumitree.core.interruption.Interrupted")
     assert len(list((tmp_path / "tasks").iterdir())) == 2
 
 

@@ -25,13 +25,16 @@ from typing import Any
 
 from lumitree.core import backend
 from lumitree.core.arguments import check_count
-from lumitree.core.interrupt import Interrupted, announce_nothing, interruptible
+from lumitree.core.interruption import (
+    STOP_SIGNALS,
+    Interrupted,
+    announce_nothing,
+    interruptible,
+)
 from lumitree.core.system import (
     MAX_WORKERS,
-    STOP_SIGNALS,
     TASK_STOP,
     TERMINATES_AT_ONCE,
-    num_cores,
     stop_signals_blocked,
     unblock_stop_signals,
 )
@@ -70,7 +73,7 @@ def process_pool(workers: int) -> Iterator[Executor]:
         ...     lumitree.render("room.xml", executor=executor).save("room.exr")
     """
     check_count("workers", workers, 1, MAX_WORKERS)
-    threads, ended = max(1, num_cores() // workers), RawValue(ctypes.c_bool, False)
+    threads, ended = max(1, backend.num_cores() // workers), RawValue(ctypes.c_bool, False)
     context = _Context(threads)
     settings = (ended, threads, backend.is_quiet())
     # It starts the process that removes Python's semaphores, which the signals would end too.

@@ -7,13 +7,18 @@ from typing import Literal
 from lumitree.asset.asset import Asset
 from lumitree.core.arguments import check_choice, check_count
 from lumitree.core.backend import load_rgb
-from lumitree.core.files import FilePath, check_writable
+from lumitree.core.files import (
+    FilePath,
+    atomic_files,
+    atomic_folder,
+    check_new_folder,
+    check_writable,
+)
 from lumitree.core.results import Result
 from lumitree.core.seeds import check_seed
 from lumitree.core.stopwatch import Stopwatch
 from lumitree.core.turns import in_turn
 from lumitree.core.units import metres_of
-from lumitree.core.work_folder import atomic_files, atomic_folder, check_new_folder
 from lumitree.errors import LumitreeError
 from lumitree.output.targets.registry import find_target
 from lumitree.output.targets.target import ExportRequest, Importer

@@ -10,9 +10,9 @@ from lumitree.core.arguments import check_count, check_image_settings
 from lumitree.core.dataset import MANIFEST, MAX_VIEWS, Dataset, Frame, Manifest, Split, View
 from lumitree.core.directions import FIRST_TEST_INDEX, view_pose
 from lumitree.core.executor import run_tasks
+from lumitree.core.files import exclusive
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
-from lumitree.core.work_folder import alone_in
 from lumitree.errors import LumitreeError
 from lumitree.lamp.luminaire import Luminaire
 from lumitree.lamp.sent import LampWorkers, received_luminaire
@@ -43,7 +43,7 @@ def capture(
             or a worker is lost.
     """
     manifest = _plan(luminaire, num_views, resolution, samples_per_pixel, split)
-    with alone_in(Path(folder)):
+    with exclusive(Path(folder)):
         return _capture(luminaire, _open_or_start(Path(folder), manifest), workers)
 
 

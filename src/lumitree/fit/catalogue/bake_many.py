@@ -12,10 +12,10 @@ from typing import Any
 from lumitree.core.arguments import check_asset_output
 from lumitree.core.executor import check_executor, run_tasks
 from lumitree.core.files import FilePath
-from lumitree.core.interrupt import deferred_interrupt, interruptible, interruption_behind
+from lumitree.core.interruption import deferred_interrupt, interruptible, interruption_behind
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.progress import progress as progress_of
-from lumitree.core.system import peak_memory_bytes
+from lumitree.core.stopwatch import peak_memory_bytes
 from lumitree.core.turns import in_turn
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.fit.catalogue.claim import UNKNOWN

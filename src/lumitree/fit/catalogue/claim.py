@@ -24,10 +24,10 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from lumitree.core.files import WriteError
-from lumitree.core.interrupt import Interrupted, deferred_interrupt
+from lumitree.core.files import WriteError, remove
+from lumitree.core.interruption import Interrupted, deferred_interrupt
 from lumitree.core.reading import Record, parse_json
-from lumitree.core.system import is_running, lock, patiently, remove
+from lumitree.core.system import is_running, lock, patiently
 from lumitree.errors import LumitreeError, shown
 
 _RENEW_SECONDS, _ABANDONED_SECONDS = 60.0, 600.0

@@ -3,8 +3,7 @@
 from pathlib import Path
 
 from lumitree.core.files import FilePath
-from lumitree.core.stopwatch import Stopwatch
-from lumitree.core.system import peak_memory_bytes
+from lumitree.core.stopwatch import Stopwatch, peak_memory_bytes
 from lumitree.errors import LumitreeError, explained, shown
 from lumitree.fit.catalogue.folder import check_folder, mark_folder, read_parts
 from lumitree.fit.catalogue.index import FolderIndex, check_index

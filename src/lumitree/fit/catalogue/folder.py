@@ -10,7 +10,7 @@ from typing import Any
 
 from lumitree._version import __version__
 from lumitree.core.arguments import check_count
-from lumitree.core.files import is_temporary, write_json
+from lumitree.core.files import write_json
 from lumitree.core.reading import Record, parse_json, read_bytes
 from lumitree.errors import LumitreeError, shown
 from lumitree.fit.catalogue.record import (
@@ -139,9 +139,6 @@ class Records:
             if asset is not None and asset.stat().st_size == size:
                 lamps[name] = FolderLamp(lamp, image if image in within else None)
         for file, entry in within.items():
-            # Of a process that writes it, or was killed meanwhile.
-            if is_temporary(file):
-                continue
             name = file.removesuffix(FAILURE)
             if name != file and (reason := self._cached(entry, name, LampFiles.read_failure)):
                 lamps[name] = FolderLamp(BakedLamp(name, "", "failed", error=reason))

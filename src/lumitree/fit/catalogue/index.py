@@ -6,8 +6,7 @@ import time
 from collections.abc import Iterable
 from pathlib import Path
 
-from lumitree.core.files import check_writable, exclusive, write_bytes
-from lumitree.core.work_folder import remove_written
+from lumitree.core.files import check_writable, remove_written, write_bytes
 from lumitree.errors import LumitreeError, shown
 from lumitree.fit.catalogue.folder import FOLDER_FILES, FolderLamp, Records, read_parts
 from lumitree.fit.catalogue.page import GENERATOR, folder_pages
@@ -62,14 +61,13 @@ class FolderIndex:
         start = time.monotonic()
         folder = self._root / FOLDER_FILES
         shown_lamps: list[FolderLamp] = []
-        with exclusive(folder / "writing.lock", wait=wait) as held:
-            if held:
-                shown_lamps = self._lamps(lamps)
-                title = self._root.resolve().name or "lamps"
-                pages = dict(folder_pages(title, shown_lamps))
-                for name, content in pages.items():
-                    _write_changed(self._root / name, content)
-                _remove_pages(folder, pages)
+        folder.mkdir(parents=True, exist_ok=True)
+        shown_lamps = self._lamps(lamps)
+        title = self._root.resolve().name or "lamps"
+        pages = dict(folder_pages(title, shown_lamps))
+        for name, content in pages.items():
+            _write_changed(self._root / name, content)
+        _remove_pages(folder, pages)
         end = time.monotonic()
         self._next = end + max(_EVERY_SECONDS, (end - start) / _SHARE)
         return [each.lamp for each in shown_lamps]

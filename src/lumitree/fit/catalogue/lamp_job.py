@@ -10,12 +10,11 @@ from typing import Any
 
 from lumitree.core.backend import load_rgb
 from lumitree.core.dataset import MANIFEST
-from lumitree.core.files import WriteError
-from lumitree.core.interrupt import deferred_interrupt, interruptible, interruption_behind
+from lumitree.core.files import BusyFolderError, WorkFolder, WriteError
+from lumitree.core.interruption import deferred_interrupt, interruptible, interruption_behind
 from lumitree.core.packing import variant_here
 from lumitree.core.progress import ProgressCallback
 from lumitree.core.reading import read_bytes
-from lumitree.core.work_folder import BusyFolderError, WorkFolder
 from lumitree.errors import LumitreeError, shown
 from lumitree.fit.catalogue.claim import UNKNOWN, Owner, claimed
 from lumitree.fit.catalogue.folder import recorded

@@ -10,9 +10,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from lumitree.asset.asset import Asset
-from lumitree.core.files import write_bytes, write_json
+from lumitree.core.files import remove, write_bytes, write_json
 from lumitree.core.reading import Record, parse_json, read_bytes
-from lumitree.core.system import remove
 from lumitree.errors import LumitreeError, shown
 from lumitree.fit.catalogue.stamps import FileStamp, current_stamps, read_stamp, relative_name
 from lumitree.fit.catalogue.thumbnail import thumbnail, thumbnail_kind

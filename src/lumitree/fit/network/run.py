@@ -16,10 +16,9 @@ from typing import Any
 import jax
 import orbax.checkpoint as ocp
 
-from lumitree.core.files import WriteError, check_room, write_json
+from lumitree.core.files import WriteError, check_space, remove_written, write_json
 from lumitree.core.frames import LocalFrame, file_keys, file_members
 from lumitree.core.reading import Record, label, parse_json, read_bytes
-from lumitree.core.work_folder import remove_written
 from lumitree.errors import LumitreeError, shown
 from lumitree.fit.network.config import TrainConfig
 
@@ -118,7 +117,7 @@ def save_checkpoint(folder: Path, manager: ocp.CheckpointManager, step: int, sta
         return
     try:
         # Orbax prints pages of tracebacks when the disk is full.
-        check_room(folder, _METADATA_BYTES + sum(leaf.nbytes for leaf in jax.tree.leaves(state)))
+        check_space(folder, _METADATA_BYTES + sum(leaf.nbytes for leaf in jax.tree.leaves(state)))
         manager.save(step, args=ocp.args.StandardSave(state))
     except (OSError, ValueError, WriteError) as error:
         with contextlib.suppress(OSError):

@@ -13,11 +13,10 @@ import orbax.checkpoint as ocp
 from flax import nnx
 
 from lumitree.core.dataset import Dataset
-from lumitree.core.files import WriteError, is_empty, write_json
-from lumitree.core.interrupt import deferred_interrupt
+from lumitree.core.files import WriteError, exclusive, is_empty, write_json
+from lumitree.core.interruption import deferred_interrupt
 from lumitree.core.progress import progress
 from lumitree.core.reading import Record, parse_json, read_bytes
-from lumitree.core.work_folder import alone_in
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.fit.network.config import TrainConfig
 from lumitree.fit.network.losses import psnr
@@ -107,7 +106,7 @@ def train(
         rays.max_radiance,
         manifest.local_frame,
     )
-    with alone_in(folder):
+    with exclusive(folder):
         # Again, since another process may have worked in the folder meanwhile.
         _check_folder(folder, config, resume)
         try:

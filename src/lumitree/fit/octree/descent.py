@@ -2,7 +2,7 @@
 
 import time
 
-from lumitree.core.interrupt import Interruption
+from lumitree.core.interruption import Interruption
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.fit.octree.calibration import calibrate

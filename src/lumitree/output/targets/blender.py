@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from lumitree.core.work_folder import scratch_folder
+from lumitree.core.files import scratch_folder
 from lumitree.output.blender.blender import find_blender, run_script
 from lumitree.output.blender.script import make_script
 from lumitree.output.targets.target import ExportRequest, Target, Written, file_orientation

@@ -4,7 +4,6 @@ import os
 from pathlib import Path
 
 from lumitree.core.files import FilePath
-from lumitree.core.system import SEPARATORS
 from lumitree.errors import LumitreeError, shown
 from lumitree.output.targets import blender, gltf, ies_folder, pbrt, radiance, usd
 from lumitree.output.targets.target import Target
@@ -29,7 +28,7 @@ def find_target(output: FilePath) -> Target:
         LumitreeError: there is none.
     """
     text = os.fspath(output)
-    suffix = "" if text.endswith(SEPARATORS) else Path(text).suffix.lower()
+    suffix = "" if text.endswith(("/", os.sep)) else Path(text).suffix.lower()
     if suffix not in TARGETS:
         raise LumitreeError(
             f"output {shown(repr(text), 300)} does not end in {', '.join(filter(None, TARGETS))}, "

@@ -2,8 +2,7 @@
 
 from pathlib import Path
 
-from lumitree.core.files import FilePath
-from lumitree.core.work_folder import scratch_folder
+from lumitree.core.files import FilePath, scratch_folder
 from lumitree.errors import LumitreeError, shown
 from lumitree.output.ies_profiles import LOST_COLOUR, ProfiledLight, profiled_lights
 from lumitree.output.orientation import turn_up
