@@ -46,8 +46,8 @@ _Handler = Callable[[int, FrameType | None], None]
 # Blocks of `interruptible` that the main thread is in, and the signal that they have received.
 _blocks = 0
 _pending: int | None = None
-# Whether signals are handled without a line on standard error.
-_silent = False
+# In a worker of a pool: whether its pool has stopped it; None in other processes.
+_stopped: bool | None = None
 
 
 class Interrupted(KeyboardInterrupt):
@@ -212,10 +212,38 @@ def open_streams() -> None:
         )
 
 
-def announce_nothing() -> None:
-    """Handle signals without a line on standard error, in processes whose parent writes it."""
-    global _silent
-    _silent = True
+@contextmanager
+def stop_signals_blocked() -> Iterator[None]:
+    """Context whose processes are started with stop signals blocked, where that can be done."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, STOP_SIGNALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def begin_worker() -> None:
+    """Let only the parent of this process stop its tasks, by SIGTERM, and announce nothing.
+
+    Ctrl-C and the closing of a terminal reach all processes of a command, and the parent decides.
+    """
+    global _stopped
+    _stopped = False
+    for number in STOP_SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
+    # Between tasks there is nothing to stop, but an ignored signal would stay so in them.
+    signal.signal(_TERMINATE, lambda number, _: _announce("", number))
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, STOP_SIGNALS)
+
+
+def raise_if_stopped() -> None:
+    """Raise `Interrupted` in a worker whose pool has stopped an earlier task of it."""
+    if _stopped:
+        raise Interrupted(number=_TERMINATE)
 
 
 def _in_main_thread() -> bool:
@@ -248,10 +276,13 @@ def _handling(handlers: Mapping[int, _Handler]) -> Iterator[None]:
 
 def _announce(text: str, number: int) -> None:
     """Write a line to standard error without its buffer, which a signal may have interrupted."""
+    global _stopped
+    if _stopped is not None:
+        # The parent process writes it.
+        _stopped = True
+        return
     if number == _SIGHUP:
         _leave_terminal()
-    if _silent:
-        return
     # On a terminal the current line already shows ^C, and perhaps a progress bar.
     line = ("\n" if sys.stderr.isatty() else "") + f"lumitree: {text}\n"
     try:
