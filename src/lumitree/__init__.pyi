@@ -101,6 +101,6 @@ from .rendering.plugins.register import register as register
 from .rendering.plugins.register import shape as shape
 from .rendering.render import RenderResult as RenderResult
 from .rendering.render import render as render
-from .trace.flux_figures import Flux as Flux
-from .trace.flux_figures import MissedFlux as MissedFlux
+from .trace.flux import Flux as Flux
+from .trace.flux import MissedFlux as MissedFlux
 from .trace.light_field_config import LightFieldConfig as LightFieldConfig

@@ -5,9 +5,9 @@ import pytest
 import trimesh
 
 from lumitree.core.photometry import luminance
-from lumitree.trace.ending_segments import EndingConfig
+from lumitree.trace.cameras import PATH_DEPTH
 from lumitree.trace.light_paths import trace_light
-from lumitree.trace.tracing import PATH_DEPTH
+from lumitree.trace.segments import EndingConfig
 from support.lamps import AREA, GLASS, lamp_of, sphere
 
 BELOW_ROULETTE = 8

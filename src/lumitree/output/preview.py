@@ -20,7 +20,7 @@ from lumitree.errors import LumitreeError
 from lumitree.lamp.diagnosis import warn_of_faults
 from lumitree.lamp.scene_shapes import SceneShape
 from lumitree.rendering.asset_cache import asset_of
-from lumitree.trace.flux_figures import Flux, MissedFlux
+from lumitree.trace.flux import Flux, MissedFlux
 
 if TYPE_CHECKING:
     from lumitree.lamp.luminaire import LuminaireLike

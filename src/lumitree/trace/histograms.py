@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lumitree.core.octahedral import bin_of, coarse_bin
 from lumitree.core.photometry import luminance
-from lumitree.trace.ending_segments import EndingSegments, grid_cell
+from lumitree.trace.segments import EndingSegments, grid_cell
 
 
 def cell_codes(cells: NDArray[np.integer], depth: int) -> NDArray[np.int64]:

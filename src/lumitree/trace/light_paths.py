@@ -1,38 +1,93 @@
 """Light paths: light traced from a luminaire's emitters until it leaves the luminaire.
 
 Camera paths find the image of a filament in a glass wall only by chance. Light paths, which start
-at the filament, always find it. Light that leaves by smooth transmission alone is omitted by
-default: camera rays that are followed straight through find it without noise
-(`lumitree.trace.straight_through`).
+at the filament, always find it. `LampRays` draws batches of them; an asset emits rays sampled from
+its emission (`lumitree.rendering.asset_rays`). Both implement `EmittedRays`, over which flux,
+irradiance, photometry and bakes sum.
 
 Symbols
     flux                of a path: radiance times the measure dA cos θ dω, local frame
     straight            all events since the emitter were null interactions: masks and thin glass
                         that the light passed, media that did not scatter it
+    smooth              all events were smooth transmissions or null interactions
     termination point   where the field should stop a camera ray that meets the path in
                         reverse, see `termination_point`
     ρ                   as in `lumitree.trace.medium_paths`
 """
 
 import dataclasses
-from typing import Any
+from typing import Any, Protocol
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
 
 from lumitree.core.frames import from_viewer
 from lumitree.lamp.luminaire import Luminaire
 from lumitree.trace import medium_paths
-from lumitree.trace.emitted_rays import RayBatch
-from lumitree.trace.ending_segments import (
+from lumitree.trace.cameras import (
+    COSINE_OF_CONE,
+    PATH_DEPTH,
+    check_finite,
+    is_smooth,
+    is_transmitted,
+)
+from lumitree.trace.segments import (
     EndingConfig,
     EndingSegments,
     make_reservoir,
     restoring_factor,
 )
-from lumitree.trace.geometric_normals import is_opaque, on_opposite_sides
-from lumitree.trace.spawning import scene_box, scene_extent, spawn
-from lumitree.trace.straight_through import COSINE_OF_CONE, is_smooth, is_transmitted
+from lumitree.trace.spawning import is_opaque, on_opposite_sides, scene_box, scene_extent, spawn
+
+
+@dataclasses.dataclass
+class RayBatch:
+    """Rays that leave a luminaire or an asset; local frame.
+
+    Attributes:
+        origin: mi.Point3f, inside the bounding box, local units.
+        direction: mi.Vector3f, unit direction of travel.
+        flux: mi.Color3f, in the luminaire's unit of radiance times sr times local units². The sum
+            over the rays of a draw is an estimate of the emitted flux.
+    """
+
+    origin: Any
+    direction: Any
+    flux: Any
+
+    def arrays(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Origin, direction and flux, each [N, 3]."""
+        return as_rows(self.origin), as_rows(self.direction), as_rows(self.flux)
+
+
+class EmittedRays(Protocol):
+    """The rays of a luminaire, of an asset, or of another representation of its light."""
+
+    def draw(self, count: int, seed: int) -> RayBatch:
+        """Rays that leave, of `count` samples; samples that are absorbed have none.
+
+        Args:
+            count: number of samples, which the flux of the rays is divided by.
+            seed: 32-bit seed of the draw, see `lumitree.core.seeds`. Equal seeds give equal rays.
+        """
+        ...
+
+
+def seeded_sampler(seed: int, count: int) -> Any:
+    """Independent mi.Sampler for `count` samples."""
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(seed, count)
+    return sampler
+
+
+def as_rows(vectors: Any) -> NDArray[np.float64]:
+    """Dr.Jit vectors of three components as an array [N, 3]."""
+    # Each by itself: the number of vectors would be a part of a kernel's code.
+    components = (np.array(each, np.float64) for each in vectors)
+    return np.array(np.broadcast_arrays(*components)).T
+
 
 # Number of events after which Russian roulette begins.
 _ROULETTE_DEPTH = 8
@@ -269,3 +324,57 @@ def termination_point(box: Any, direction: Any, first: Any, last: Any, at_first:
     projection = first + along * direction
     inside = dr.all((projection >= box.min) & (projection <= box.max))
     return mi.Point3f(dr.select(at_first | (along <= 0) | ~inside, first, projection))
+
+
+class LampRays:
+    """Light paths of a luminaire, all that leave it; `EmittedRays`.
+
+    Args:
+        luminaire: what is traced.
+        path_depth: longest path, events.
+    """
+
+    def __init__(self, luminaire: Luminaire, path_depth: int = PATH_DEPTH) -> None:
+        self._luminaire, self._path_depth = luminaire, path_depth
+
+    def draw(
+        self,
+        count: int,
+        seed: int,
+        *,
+        ending: EndingConfig | None = None,
+        largest_gain: float | None = None,
+    ) -> LightPaths:
+        """As `EmittedRays.draw`.
+
+        Args:
+            count: number of light paths.
+            seed: of the draw.
+            ending: also return segments that end on the luminaire. The paths are the same with it.
+            largest_gain: limit of the gain of a path's flux, see `trace_light`.
+
+        Raises:
+            LumitreeError: a path's flux is NaN or infinite.
+        """
+        sampler = seeded_sampler(seed, count)
+        paths = trace_light(
+            self._luminaire,
+            sampler,
+            count,
+            self._path_depth,
+            all_light=True,
+            ending=ending,
+            largest_gain=largest_gain,
+        )
+        check_finite(self._luminaire, as_rows(paths.flux))
+        if paths.ending is not None:
+            check_finite(self._luminaire, as_rows(paths.ending.flux))
+        return paths
+
+    def bare_flux(self, count: int, seed: int) -> NDArray[np.float64]:
+        """Flux [3] with which the paths of `draw` start, before the luminaire absorbs any.
+
+        It is an estimate of the flux of the bare emitters, local units.
+        """
+        sampler = seeded_sampler(seed, count)
+        return as_rows(emitted_flux(self._luminaire, sampler, count)[0]).sum(axis=0)

@@ -1,10 +1,17 @@
-"""Rays that leave surfaces, from nearer to them than Mitsuba's.
+"""Rays that leave surfaces: where they start, on which side, and whether they were transmitted.
 
 Mitsuba starts a ray 9e-5 (1 + |p|) away from the surface point p. Where a lamp is small, or far
 from the origin, that is no longer small beside it: 0.9 units at a coordinate of 10,000. A lamp of
-glass or of opal, in metres, emits up to 6 % too much light, because rays leave out a part of it.
+glass or of opal, in metres, emits up to 6 % too much light, because rays skip a part of it.
 Meshes and rectangles are hit with an error of a few units in the last place, so rays leave them
 from as near; curved shapes and instances, whose hits are less precise, keep Mitsuba's distance.
+
+BSDFs are defined by the shading normal, which differs from the geometric normal on a mesh that is
+shaded smoothly. A direction that is above the surface by one normal may be below it by the other.
+There an opaque BSDF would scatter light through the surface: a closed shade of few triangles
+around a bulb would leak. So opaque BSDFs are 0 for pairs of directions on opposite sides of the
+geometric surface, both where they are evaluated and where they are sampled. The rule is symmetric
+in both directions, so light paths and camera paths agree.
 """
 
 from typing import Any
@@ -49,3 +56,19 @@ def spawn(si: Any, direction: Any, extent: Any) -> Any:
     """mi.Ray3f from a surface, on the side of it that the direction points to."""
     distance = dr.mulsign(offset(si, extent), dr.dot(si.n, direction))
     return mi.Ray3f(dr.fma(distance, si.n, si.p), direction, si.time, si.wavelengths)
+
+
+def is_opaque(bsdf: Any) -> Any:
+    """Whether no component of a mi.BSDF transmits, apart from null components (mi.Bool)."""
+    return ~mi.has_flag(bsdf.flags(), mi.BSDFFlags.Transmission)
+
+
+def on_opposite_sides(si: Any, arriving: Any, leaving: Any) -> Any:
+    """Whether light that arrives at a surface and leaves it crosses the geometric surface.
+
+    Args:
+        si: mi.SurfaceInteraction3f.
+        arriving: mi.Vector3f, direction of travel before the surface.
+        leaving: mi.Vector3f, direction of travel after it.
+    """
+    return dr.dot(si.n, arriving) * dr.dot(si.n, leaving) >= 0
