@@ -6,6 +6,8 @@ from .asset.asset import AssetInfo as AssetInfo
 from .asset.file import save as save
 from .core.frames import LocalFrame as LocalFrame
 from .core.interrupt import Interrupted as Interrupted
+from .core.photometry import Flux as Flux
+from .core.photometry import MissedFlux as MissedFlux
 from .core.process_pool import process_pool as process_pool
 from .core.progress import Progress as Progress
 from .core.progress import show_progress as show_progress
@@ -101,6 +103,4 @@ from .rendering.plugins.register import register as register
 from .rendering.plugins.register import shape as shape
 from .rendering.render import RenderResult as RenderResult
 from .rendering.render import render as render
-from .trace.flux import Flux as Flux
-from .trace.flux import MissedFlux as MissedFlux
 from .trace.light_field_config import LightFieldConfig as LightFieldConfig

@@ -12,6 +12,7 @@ from lumitree.core.arguments import (
 from lumitree.core.backend import load_rgb
 from lumitree.core.files import FilePath, write_bytes
 from lumitree.core.image_settings import image_settings
+from lumitree.core.photometry import Flux, MissedFlux
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.results import ImageResult
 from lumitree.core.stopwatch import Stopwatch
@@ -20,7 +21,6 @@ from lumitree.errors import LumitreeError
 from lumitree.lamp.diagnosis import warn_of_faults
 from lumitree.lamp.scene_shapes import SceneShape
 from lumitree.rendering.asset_cache import asset_of
-from lumitree.trace.flux import Flux, MissedFlux
 
 if TYPE_CHECKING:
     from lumitree.lamp.luminaire import LuminaireLike

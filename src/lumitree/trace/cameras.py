@@ -1,10 +1,8 @@
 """Camera paths of a luminaire: its integrator, straight-through rays, and views of a dataset."""
 
-import contextlib
 import dataclasses
 import functools
 import os
-from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.arguments import check_count, check_image_settings
-from lumitree.core.backend import load_mitsuba
 from lumitree.core.dataset import MANIFEST, MAX_VIEWS, Dataset, Frame, Manifest, Split, View
 from lumitree.core.device import parameter
 from lumitree.core.directions import FIRST_TEST_INDEX, view_pose
@@ -27,44 +24,45 @@ from lumitree.lamp.luminaire import Luminaire
 from lumitree.lamp.media import is_coloured, media
 from lumitree.lamp.sent import LampWorkers, received_luminaire
 from lumitree.trace import medium_paths
-from lumitree.trace.spawning import scene_extent, spawn
+from lumitree.trace.spawning import is_smooth, is_transmitted, scene_extent, spawn
 
 # Longest path: of opal glass, 8 % of the light takes more than 32 bounces.
 PATH_DEPTH = 128
+# Light that leaves within this angle of the direction it came in counts as having passed.
+COSINE_OF_CONE = 0.9659258262890683  # cos 15°
+# Equal settings give equal images: there is no option for the seed.
+_ROOT_SEED = 0
+# Paths in flight at once: bounds memory to about 1 GiB.
+_MAX_PATHS = 1 << 23
 
 
 def path_integrator(luminaire: Luminaire, path_depth: int, **options: Any) -> Any:
     """The mi.Integrator that traces this luminaire's paths.
 
     `path` where there are neither media, alpha masks nor null surfaces. Its next-event estimation
-    takes these for opaque: the light of a spot light in their shade would be found by chance alone.
+    treats these as opaque: the light of a spot light in their shade would be found by chance only.
     And it counts no light of rays that meet nothing else.
 
     `volpath` samples distances by one channel's extinction, so that in coloured media the weights
-    of the others have no bound; `volpathmis` weighs all three. But where media scatter that has
+    of the others have no bound; `volpathmis` weighs all three. But where media scatter, that has
     rare paths that are not a number, and where they are grey it is only slower.
 
     Args:
         path_depth: longest path, bounces.
         options: more of the integrator's parameters, such as `rr_depth`.
     """
-    kind = integrator_kind(luminaire)
-    return load_mitsuba().load_dict({"type": kind, "max_depth": path_depth, **options})
+    return mi.load_dict({"type": _integrator_kind(luminaire), "max_depth": path_depth, **options})
 
 
-def integrator_kind(luminaire: Luminaire) -> str:
-    """Name of the Mitsuba integrator of `path_integrator`."""
-    if not luminaire.has_media:
-        return "volpath" if any(map(_is_passed, luminaire.scene.shapes())) else "path"
-    only_colours = not luminaire.scatters and any(map(is_coloured, media(luminaire.scene)))
-    return "volpathmis" if only_colours else "volpath"
-
-
-def _is_passed(shape: Any) -> bool:
-    """Whether light may pass a shape as if it were not there."""
-    mi, bsdf = load_mitsuba(), shape.bsdf()
-    # Thin glass, which Mitsuba counts among these, is lit as glass is.
-    return mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null) and bsdf.class_name() != "ThinDielectric"
+def _integrator_kind(luminaire: Luminaire) -> str:
+    if luminaire.has_media:
+        only_colours = not luminaire.scatters and any(map(is_coloured, media(luminaire.scene)))
+        return "volpathmis" if only_colours else "volpath"
+    for bsdf in (shape.bsdf() for shape in luminaire.scene.shapes()):
+        # Thin glass has the flag too, but is lit as glass is.
+        if mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null) and bsdf.class_name() != "ThinDielectric":
+            return "volpath"
+    return "path"
 
 
 def check_finite(luminaire: Luminaire, values: NDArray[np.floating]) -> None:
@@ -76,26 +74,8 @@ def check_finite(luminaire: Luminaire, values: NDArray[np.floating]) -> None:
         )
 
 
-# Light that leaves within this angle of the direction it came in counts as having passed.
-COSINE_OF_CONE = 0.9659258262890683  # cos 15°
-
-
-def is_smooth(sampled_type: Any) -> Any:
-    """Whether an interaction of this mi.BSDFFlags type lets light pass without spreading it."""
-    return mi.has_flag(sampled_type, mi.BSDFFlags.DeltaTransmission) | mi.has_flag(
-        sampled_type, mi.BSDFFlags.Null
-    )
-
-
-def is_transmitted(sampled_type: Any) -> Any:
-    """Whether an interaction of this mi.BSDFFlags type lets light pass."""
-    return mi.has_flag(sampled_type, mi.BSDFFlags.Transmission) | mi.has_flag(
-        sampled_type, mi.BSDFFlags.Null
-    )
-
-
 @dr.syntax
-def straight_through(scene: Any, sampler: Any, ray: Any, path_depth: int) -> tuple[Any, Any]:
+def straight_through(scene, sampler, ray, path_depth):
     """Follow `ray` along a chain of transmissions: what passes, and which emitters it sees.
 
     Null, specular and rough transmission continue the chain, interior media attenuate it, a
@@ -147,12 +127,6 @@ def straight_through(scene: Any, sampler: Any, ray: Any, path_depth: int) -> tup
     return dr.select(straight, dr.mean(throughput), 0), emitted
 
 
-# Equal settings give equal images: there is no option for the seed.
-_ROOT_SEED = 0
-# Paths in flight at once: bounds memory to about 1 GiB.
-_MAX_PATHS = 1 << 23
-
-
 @dataclasses.dataclass(frozen=True)
 class ViewImages:
     """The images of one view.
@@ -161,7 +135,7 @@ class ViewImages:
         radiance: [H, W, 3] in W/(m² sr).
         geometric: [H, W] opacity in [0, 1]: share of the camera rays that hit a surface.
         straight_through: [H, W] opacity in [0, 1]: 1 minus the transmittance of light that crosses
-            the luminaire straight through (`trace.cameras`).
+            the luminaire straight through (`straight_through`).
     """
 
     radiance: NDArray[np.float32]
@@ -266,45 +240,55 @@ def capture(
         workers: what renders the views. Default: this process. It writes them in any case.
 
     Raises:
-        LumitreeError: bad settings, `folder` holds another capture, another process works in it,
+        LumitreeError: bad settings, `folder` has another capture, another process works in it,
             or a worker is lost.
     """
-    manifest = _plan(luminaire, num_views, resolution, samples_per_pixel, split)
+    check_count("views", num_views, 1, MAX_VIEWS)
+    check_image_settings(resolution=resolution, spp=samples_per_pixel)
+    first = 1 if split == "train" else FIRST_TEST_INDEX
+    # Cameras stand clear of the bounding sphere.
+    distance = 2 * luminaire.bounding_radius
+    manifest = Manifest(
+        luminaire=luminaire.name,
+        fingerprint=luminaire.fingerprint,
+        split=split,
+        resolution=resolution,
+        samples_per_pixel=samples_per_pixel,
+        path_depth=PATH_DEPTH,
+        half_width=luminaire.bounding_radius,
+        local_frame=luminaire.frame,
+        frames=tuple(
+            Frame(
+                file=f"view_{index:06d}.exr",
+                halton_index=index,
+                local_from_camera=tuple(map(tuple, view_pose(index, distance).tolist())),
+            )
+            for index in range(first, first + num_views)
+        ),
+    )
     with alone_in(Path(folder)):
-        return _capture(luminaire, _open_or_start(Path(folder), manifest), workers)
-
-
-def _capture(luminaire: Luminaire, dataset: Dataset, workers: LampWorkers | None) -> Dataset:
-    """Render the views that a dataset lacks."""
-    manifest = dataset.manifest
-    missing = dataset.missing()
-    done = len(manifest.frames) - len(missing)
-    settings = manifest.resolution, manifest.samples_per_pixel
-    if workers is None:
-        camera = Camera(luminaire, *settings)
-        images = contextlib.nullcontext(enumerate(_take(camera, frame) for frame in missing))
-    else:
-        images = _taken_by(workers, settings, missing)
-    with (
-        progress(f"capture {luminaire.name}", len(manifest.frames), done) as advance,
-        images as taken,
-    ):
-        for index, found in taken:
-            dataset.write(View(missing[index], **vars(found)))
-            advance(1)
+        dataset = _open_or_start(Path(folder), manifest)
+        missing, settings = dataset.missing(), (resolution, samples_per_pixel)
+        done = num_views - len(missing)
+        with progress(f"capture {luminaire.name}", num_views, done) as advance:
+            if workers is None:
+                camera = Camera(luminaire, *settings)
+                for frame in missing:
+                    dataset.write(View(frame, **vars(_take(camera, frame))))
+                    advance(1)
+                return dataset
+            tasks = [(workers.luminaire, settings, frame) for frame in missing]
+            with run_tasks(
+                workers.executor, _take_received, tasks, what="views", total=len(tasks)
+            ) as results:
+                for index, images in results:
+                    dataset.write(View(missing[index], **vars(images)))
+                    advance(1)
     return dataset
 
 
 def _take(camera: Camera, frame: Frame) -> ViewImages:
     return camera.take(frame.pose, SeedStream(Purpose.CAPTURE, frame.halton_index))
-
-
-def _taken_by(
-    workers: LampWorkers, settings: tuple[int, int], frames: Sequence[Frame]
-) -> contextlib.AbstractContextManager[Iterator[tuple[int, ViewImages]]]:
-    """Context with the index and the images of each frame, as workers finish them."""
-    tasks = [(workers.luminaire, settings, frame) for frame in frames]
-    return run_tasks(workers.executor, _take_received, tasks, what="views", total=len(tasks))
 
 
 def _take_received(luminaire: bytes, settings: tuple[int, int], frame: Frame) -> ViewImages:
@@ -317,44 +301,15 @@ def _camera(luminaire: bytes, settings: tuple[int, int]) -> Camera:
     return Camera(received_luminaire(luminaire), *settings)
 
 
-def _plan(
-    luminaire: Luminaire, num_views: int, resolution: int, samples_per_pixel: int, split: Split
-) -> Manifest:
-    check_count("views", num_views, 1, MAX_VIEWS)
-    check_image_settings(resolution=resolution, spp=samples_per_pixel)
-    first = 1 if split == "train" else FIRST_TEST_INDEX
-    # Cameras stand clear of the bounding sphere.
-    distance = 2 * luminaire.bounding_radius
-    frames = tuple(
-        Frame(
-            file=f"view_{index:06d}.exr",
-            halton_index=index,
-            local_from_camera=tuple(map(tuple, view_pose(index, distance).tolist())),
-        )
-        for index in range(first, first + num_views)
-    )
-    return Manifest(
-        luminaire=luminaire.name,
-        fingerprint=luminaire.fingerprint,
-        split=split,
-        resolution=resolution,
-        samples_per_pixel=samples_per_pixel,
-        path_depth=PATH_DEPTH,
-        half_width=luminaire.bounding_radius,
-        local_frame=luminaire.frame,
-        frames=frames,
-    )
-
-
 def _open_or_start(folder: Path, manifest: Manifest) -> Dataset:
-    if (folder / MANIFEST).exists():
-        dataset = Dataset.open(folder)
-        if dataset.manifest != manifest:
-            raise LumitreeError(
-                f"{folder} holds a capture of other settings or of another luminaire "
-                f"({dataset.manifest.luminaire}); choose another folder with -o, or remove it"
-            )
+    if not (folder / MANIFEST).exists():
+        dataset = Dataset(folder, manifest)
+        dataset.save_manifest()
         return dataset
-    dataset = Dataset(folder, manifest)
-    dataset.save_manifest()
+    dataset = Dataset.open(folder)
+    if dataset.manifest != manifest:
+        raise LumitreeError(
+            f"{folder} has a capture of other settings or of another luminaire "
+            f"({dataset.manifest.luminaire}); choose another folder with -o, or remove it"
+        )
     return dataset

@@ -6,8 +6,6 @@ hitting them, so that it is wrong for other reasons: both are compared in every 
 light is lost or created.
 """
 
-import dataclasses
-import math
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.spectrum import EmittedSpectrum
-from lumitree.core.photometry import luminance, matching_functions
+from lumitree.core.photometry import Flux, MissedFlux, luminance, matching_functions
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.core.spectrum import sampled_spectrum
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
@@ -32,61 +30,22 @@ from lumitree.trace.light_paths import LampRays, as_rows, emit, emitted_flux, se
 from lumitree.trace.medium_paths import coefficients, medium_after
 from lumitree.trace.spawning import scene_extent, spawn
 
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Flux:
-    """Estimate of the flux that leaves a luminaire, for lengths in metres.
-
-    Attributes:
-        watts: radiant flux of R, G and B, W, for radiance in W/(m² sr).
-        watts_error: standard errors of `watts`, W.
-        lumens: luminous flux, lm.
-        lumens_error: standard error of `lumens`, lm.
-        paths: number of paths of the estimate.
-        hits: number of paths that carry light.
-    """
-
-    watts: tuple[float, ...]
-    watts_error: tuple[float, ...]
-    lumens: float
-    lumens_error: float
-    paths: int
-    hits: int
-
-    def __str__(self) -> str:
-        return flux_text(self.lumens, self.lumens_error)
-
-
-def flux_text(lumens: float, error: float) -> str:
-    """Luminous flux ± standard error, rounded to two significant digits of the error."""
-    digits = max(0, 1 - math.floor(math.log10(error))) if error else 0
-    return f"{lumens:,.{digits}f} ± {error:,.{digits}f} lm"
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class MissedFlux:
-    """Share of the luminous flux that paths of limited length miss.
-
-    Attributes:
-        path_depth: largest number of bounces.
-        reference_depth: largest number of bounces of the paths that are compared with, without
-            Russian roulette.
-        share: share of the flux, 0 to 1.
-        error: standard error of `share`.
-    """
-
-    path_depth: int
-    reference_depth: int
-    share: float
-    error: float
-
-
 # Paths traced at once.
 BATCH = 1 << 20
 # Russian roulette that never begins.
 _NO_ROULETTE = {"rr_depth": 1 << 20}
 # Number of events after which Russian roulette of camera paths begins.
 _ROULETTE_DEPTH = 8
+# Light paths that estimate the shares of the emitters, to about 0.2 %, always the same ones.
+_SPECTRUM_PATHS = 1 << 18
+# Part of the light of the emitters below which the luminaire is said to enclose them.
+_ENCLOSED = 1e-3
+# Standard errors by which the light that leaves must exceed the light of the emitters; and this
+# part of it, for what shading normals add.
+_CERTAIN, _CREATED = 3, 2e-3
+_PATHS, _BARE_PATHS = 1 << 13, 1 << 18
+# Shapes that a message names have at least this part of what the first has.
+_COMPARABLE, _NAMED = 0.5, 3
 
 
 def estimate_flux(
@@ -268,10 +227,6 @@ def _random_ray(luminaire: Luminaire, sampler: Any) -> Any:
     return mi.Ray3f(centre + radius * start, frame.n)
 
 
-# Light paths that estimate the shares of the emitters, to about 0.2 %, always the same ones.
-_SPECTRUM_PATHS = 1 << 18
-
-
 def emitted_spectrum(luminaire: Luminaire) -> EmittedSpectrum | None:
     """The spectra of a luminaire's emitters, weighted by their luminous flux.
 
@@ -285,7 +240,11 @@ def emitted_spectrum(luminaire: Luminaire) -> EmittedSpectrum | None:
     samples = [known.get(emitter.id()) for emitter in luminaire.scene.emitters()]
     if not any(samples):
         return None
-    lumens = _lumens_by_emitter(luminaire)
+    lumens = np.ones(1)
+    if len(samples) > 1:
+        sampler = seeded_sampler(SeedStream(Purpose.SPECTRUM).seed(0), _SPECTRUM_PATHS)
+        flux, emitter = emitted_flux(luminaire, sampler, _SPECTRUM_PATHS)
+        lumens = np.bincount(np.array(emitter), luminance(as_rows(flux)), len(samples))
     luminosity = matching_functions()[1]
     power, lumens_known = np.zeros(len(luminosity)), 0.0
     for each, flux in zip(samples, lumens.tolist(), strict=True):
@@ -294,27 +253,6 @@ def emitted_spectrum(luminaire: Luminaire) -> EmittedSpectrum | None:
             power += flux / visible * spectrum
             lumens_known += flux
     return EmittedSpectrum.of(power, min(lumens_known / max(float(lumens.sum()), 1e-300), 1.0))
-
-
-def _lumens_by_emitter(luminaire: Luminaire) -> NDArray[np.float64]:
-    """Luminous flux of each emitter of the scene, relative."""
-    count = len(luminaire.scene.emitters())
-    if count == 1:
-        return np.ones(1)
-    sampler = seeded_sampler(SeedStream(Purpose.SPECTRUM).seed(0), _SPECTRUM_PATHS)
-    flux, emitter = emitted_flux(luminaire, sampler, _SPECTRUM_PATHS)
-    lumens = np.bincount(np.array(emitter), luminance(as_rows(flux)), count)
-    return lumens.astype(np.float64)
-
-
-# Part of the light of the emitters below which the luminaire is said to enclose them.
-_ENCLOSED = 1e-3
-# Standard errors by which the light that leaves must exceed the light of the emitters; and this
-# part of it, for what shading normals add.
-_CERTAIN, _CREATED = 3, 2e-3
-_PATHS, _BARE_PATHS = 1 << 13, 1 << 18
-# Shapes that a message names have at least this part of what the first has.
-_COMPARABLE, _NAMED = 0.5, 3
 
 
 def check_output(luminaire: Luminaire, lumens: NDArray[np.float64], seed: int) -> None:
@@ -344,9 +282,11 @@ def check_output(luminaire: Luminaire, lumens: NDArray[np.float64], seed: int) -
     noise = spread / len(lumens) ** 0.5 / emitted, share * bare.std() / len(bare) ** 0.5 / emitted
     error = float(np.hypot(*noise))
     if share - 1 > max(_CERTAIN * error, _CREATED):
+        names = _described(_largest(luminaire, -lost_light(luminaire, seed)))
         warnings.warn(
             f"{100 * share:.4g} ± {100 * error:.2g} % of the light of the emitters leaves "
-            f"{luminaire.name}: {_creating(luminaire, seed)}",
+            f"{luminaire.name}: the material of {names} creates light; its reflectance and "
+            "transmittance exceed 1",
             LumitreeWarning,
             stacklevel=3,
         )
@@ -393,7 +333,7 @@ def _enclosing(luminaire: Luminaire, seed: int) -> str:
         # The surfaces of emitters are often black, and get light back from what encloses them.
         lost = np.where(emits, 0.0, lost)
     shapes = _largest(luminaire, lost)
-    names = " and ".join(_described(shape) for shape in shapes)
+    names = _described(shapes)
     if shapes[0].number is not None or not shapes[0].materials:
         return f"it ends on {names}; leave an opening, or give it a BSDF that transmits light"
     toml, line = Path(luminaire.name).name, setting(shapes[0].materials[0], "glass = {}")
@@ -403,12 +343,6 @@ def _enclosing(luminaire: Luminaire, seed: int) -> str:
     )
 
 
-def _creating(luminaire: Luminaire, seed: int) -> str:
-    shapes = _largest(luminaire, -lost_light(luminaire, seed))
-    names = " and ".join(_described(shape) for shape in shapes)
-    return f"the material of {names} creates light; its reflectance and transmittance exceed 1"
-
-
 def _largest(luminaire: Luminaire, parts: NDArray[np.float64]) -> list[SceneShape]:
     """The shapes with the largest parts."""
     shapes = shapes_of_scene(luminaire.scene, luminaire.shapes)
@@ -416,7 +350,10 @@ def _largest(luminaire: Luminaire, parts: NDArray[np.float64]) -> list[SceneShap
     return [shapes[at] for at in order if parts[at] >= _COMPARABLE * parts[order[0]]]
 
 
-def _described(shape: SceneShape) -> str:
-    material = [shown(repr(each), 60) for each in shape.materials[:1]]
-    surface = " ".join([shape.bsdf, *material]) or "no BSDF"
-    return f"{shape.label} ({surface})"
+def _described(shapes: list[SceneShape]) -> str:
+    """Names of shapes with their materials, for messages."""
+    names = []
+    for shape in shapes:
+        material = [shown(repr(each), 60) for each in shape.materials[:1]]
+        names.append(f"{shape.label} ({' '.join([shape.bsdf, *material]) or 'no BSDF'})")
+    return " and ".join(names)

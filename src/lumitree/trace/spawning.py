@@ -14,6 +14,8 @@ geometric surface, both where they are evaluated and where they are sampled. The
 in both directions, so light paths and camera paths agree.
 """
 
+from __future__ import annotations
+
 from typing import Any
 
 import drjit as dr
@@ -26,25 +28,20 @@ from lumitree.core.device import parameter
 _FLAT_OFFSET = 2.0**-20
 
 
-def scene_box(scene: Any) -> Any:
-    """Bounding box of a mi.Scene (mi.BoundingBox3f), on the device."""
+def scene_box(scene: mi.Scene) -> mi.BoundingBox3f:
+    """Bounding box of a scene, on the device."""
     box = scene.bbox()
     return mi.BoundingBox3f(*(parameter(mi.Point3f, *each) for each in (box.min, box.max)))
 
 
-def scene_extent(scene: Any) -> Any:
-    """Half the diagonal of the bounding box of a mi.Scene (mi.Float)."""
+def scene_extent(scene: mi.Scene) -> mi.Float:
+    """Half the diagonal of the bounding box of a scene."""
     box = scene.bbox()
     return parameter(mi.Float, float(dr.norm(box.extents())) / 2 if box.valid() else 0.0)
 
 
-def offset(si: Any, extent: Any) -> Any:
-    """Distance (mi.Float) from a surface at which a ray leaves it.
-
-    Args:
-        si: mi.SurfaceInteraction3f.
-        extent: `scene_extent`.
-    """
+def offset(si: mi.SurfaceInteraction3f, extent: mi.Float) -> Any:
+    """Distance (mi.Float) from a surface at which a ray leaves it; `extent` is `scene_extent`."""
     coordinate = dr.max(dr.abs(si.p))
     standard = (1 + coordinate) * mi.math.RayEpsilon
     flat = dr.minimum(standard, (coordinate + extent) * _FLAT_OFFSET)
@@ -52,8 +49,8 @@ def offset(si: Any, extent: Any) -> Any:
     return dr.select(precise, flat, standard)
 
 
-def spawn(si: Any, direction: Any, extent: Any) -> Any:
-    """mi.Ray3f from a surface, on the side of it that the direction points to."""
+def spawn(si: mi.SurfaceInteraction3f, direction: mi.Vector3f, extent: mi.Float) -> mi.Ray3f:
+    """Ray from a surface, on the side of it that the direction points to."""
     distance = dr.mulsign(offset(si, extent), dr.dot(si.n, direction))
     return mi.Ray3f(dr.fma(distance, si.n, si.p), direction, si.time, si.wavelengths)
 
@@ -63,12 +60,26 @@ def is_opaque(bsdf: Any) -> Any:
     return ~mi.has_flag(bsdf.flags(), mi.BSDFFlags.Transmission)
 
 
-def on_opposite_sides(si: Any, arriving: Any, leaving: Any) -> Any:
+def on_opposite_sides(
+    si: mi.SurfaceInteraction3f, arriving: mi.Vector3f, leaving: mi.Vector3f
+) -> Any:
     """Whether light that arrives at a surface and leaves it crosses the geometric surface.
 
     Args:
-        si: mi.SurfaceInteraction3f.
-        arriving: mi.Vector3f, direction of travel before the surface.
-        leaving: mi.Vector3f, direction of travel after it.
+        arriving, leaving: direction of travel before and after the surface.
     """
     return dr.dot(si.n, arriving) * dr.dot(si.n, leaving) >= 0
+
+
+def is_smooth(sampled_type: mi.UInt32) -> Any:
+    """Whether an interaction of this mi.BSDFFlags type lets light pass without spreading it."""
+    return mi.has_flag(sampled_type, mi.BSDFFlags.DeltaTransmission) | mi.has_flag(
+        sampled_type, mi.BSDFFlags.Null
+    )
+
+
+def is_transmitted(sampled_type: mi.UInt32) -> Any:
+    """Whether an interaction of this mi.BSDFFlags type lets light pass."""
+    return mi.has_flag(sampled_type, mi.BSDFFlags.Transmission) | mi.has_flag(
+        sampled_type, mi.BSDFFlags.Null
+    )

@@ -163,9 +163,9 @@ def test_the_light_field_light_is_as_without_it(mi, lamp, field, tmp_path, monke
     from lumitree.fit.light_field import bake as module
 
     class Alone(LampRays):
-        def draw(self, count, seed, *, ending=None, largest_gain=None):
+        def draw(self, count, seed, *, ending=None, flux_limit=None):
             few = LampRays(lamp, 4).draw(4, 0, ending=EndingConfig(5, 0))
-            paths = super().draw(count, seed, largest_gain=largest_gain)
+            paths = super().draw(count, seed, flux_limit=flux_limit)
             return dataclasses.replace(paths, ending=few.ending)
 
     monkeypatch.setattr(module, "LampRays", Alone)

@@ -33,7 +33,7 @@ def trace(mi, lamp, path_depth, limit, seed=1):
         path_depth,
         all_light=True,
         ending=EndingConfig(3, 2),
-        largest_gain=limit,
+        flux_limit=limit,
     )
 
 
