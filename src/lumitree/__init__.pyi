@@ -14,6 +14,14 @@ from .core.progress import show_progress as show_progress
 from .core.results import Result as Result
 from .errors import LumitreeError as LumitreeError
 from .errors import LumitreeWarning as LumitreeWarning
+from .exports.blender_extension import (
+    BlenderExtensionResult as BlenderExtensionResult,
+)
+from .exports.blender_extension import (
+    blender_extension as blender_extension,
+)
+from .exports.export import ExportResult as ExportResult
+from .exports.export import export as export
 from .fit.bake import bake as bake
 from .fit.bake import bake_views as bake_views
 from .fit.bake import refine as refine
@@ -75,25 +83,15 @@ from .measure.photometry.photometry import (
 from .measure.photometry.photometry import (
     photometry as photometry,
 )
-from .output.blender.extension_archive import (
-    BlenderExtensionResult as BlenderExtensionResult,
-)
-from .output.blender.extension_archive import (
-    blender_extension as blender_extension,
-)
-from .output.export import ExportResult as ExportResult
-from .output.export import export as export
-from .output.preview import (
+from .measure.preview import (
     AssetPreviewResult as AssetPreviewResult,
 )
-from .output.preview import (
+from .measure.preview import (
     PreviewResult as PreviewResult,
 )
-from .output.preview import (
+from .measure.preview import (
     preview as preview,
 )
-from .output.viewer.view import ViewResult as ViewResult
-from .output.viewer.view import view as view
 from .rendering.asset_cache import load as load
 from .rendering.mixture import MixResult as MixResult
 from .rendering.mixture import mix as mix
@@ -104,3 +102,5 @@ from .rendering.plugins.register import shape as shape
 from .rendering.render import RenderResult as RenderResult
 from .rendering.render import render as render
 from .trace.light_field_config import LightFieldConfig as LightFieldConfig
+from .viewer.view import ViewResult as ViewResult
+from .viewer.view import view as view

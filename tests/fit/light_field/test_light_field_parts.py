@@ -143,12 +143,12 @@ def test_a_bake_gets_the_flux_and_the_colour_that_are_asked_for(parts, capsys):
     found, expected = (each.irradiance["irradiance_ratio"] for each in (warm, plain))
     assert found == pytest.approx(expected, abs=1e-4 + 0.5 * plain.irradiance["ratio_error"])
     refined = lumitree.refine("warm.lumitree", "lamp.xml", rays=1 << 14, irradiance_paths=0)
-    assert refined.asset.gain == warm.asset.gain
+    assert refined.asset.light_factors == warm.asset.light_factors
     assert main(["info", "warm.lumitree", "--json", "info.json"]) == 0
     shown = re.search(r"lumens  ([\d.]+)", capsys.readouterr().out)
     assert float(shown[1]) == pytest.approx(luminance(watts), rel=1e-4)
     with open("info.json") as file:
-        assert json.load(file)["asset"]["gain"] == list(warm.asset.gain)
+        assert json.load(file)["asset"]["light_factors"] == list(warm.asset.light_factors)
 
 
 def test_a_colour_that_a_lamp_cannot_have_is_refused_at_once(monkeypatch):

@@ -56,7 +56,7 @@ class ReferenceField:
             l_max=self._asset.l_max,
             law=self._asset.law,
             max_radiance=1.0,
-            gain=(1.0, 1.0, 1.0),
+            light_factors=(1.0, 1.0, 1.0),
             density=np.exp(self.log_density),
             coefficients=self.coefficients,
         )

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import trimesh
 
-from lumitree.asset.geometry_media import scattering_sides
 from lumitree.errors import LumitreeError
 from lumitree.lamp.builtin.registry import BUILTIN
 from lumitree.lamp.loading import load_luminaire
@@ -127,7 +126,7 @@ def test_tiny_capture(mi, name, tmp_path):
     lamp = load_luminaire(name)
     assert lamp.has_media == (name in ("cluster", "star"))
     model = stored_geometry(lamp)
-    assert (model.has_media, any(map(scattering_sides, model.shapes))) == (
+    assert (model.has_media, any(shape.scatters for shape in model.shapes)) == (
         lamp.has_media,
         lamp.scatters,
     )
