@@ -7,6 +7,8 @@ from .asset.file import save as save
 from .core.executor import process_pool as process_pool
 from .core.frames import LocalFrame as LocalFrame
 from .core.interruption import Interrupted as Interrupted
+from .core.photometry import Flux as Flux
+from .core.photometry import MissedFlux as MissedFlux
 from .core.progress import Progress as Progress
 from .core.progress import show_progress as show_progress
 from .core.results import Result as Result
@@ -98,8 +100,6 @@ from .rendering.plugins.register import register as register
 from .rendering.plugins.register import shape as shape
 from .rendering.render import RenderResult as RenderResult
 from .rendering.render import render as render
-from .trace.flux_figures import Flux as Flux
-from .trace.flux_figures import MissedFlux as MissedFlux
 from .trace.light_field_config import LightFieldConfig as LightFieldConfig
 from .viewer.view import ViewResult as ViewResult
 from .viewer.view import view as view

@@ -221,7 +221,7 @@ def _references(
     """
     from lumitree.lamp.loading import load_luminaire
     from lumitree.measure.view_errors import check_proportions
-    from lumitree.trace.capture import capture
+    from lumitree.trace.cameras import capture
 
     if (stored := dataset_folder(target)) is not None:
         return None, Dataset.open(stored)

@@ -5,9 +5,9 @@ import pytest
 import trimesh
 
 from lumitree.core.photometry import luminance
-from lumitree.trace.ending_segments import EndingConfig
+from lumitree.trace.cameras import PATH_DEPTH
 from lumitree.trace.light_paths import trace_light
-from lumitree.trace.tracing import PATH_DEPTH
+from lumitree.trace.segments import EndingConfig
 from support.lamps import AREA, GLASS, lamp_of, sphere
 
 BELOW_ROULETTE = 8
@@ -33,7 +33,7 @@ def trace(mi, lamp, path_depth, limit, seed=1):
         path_depth,
         all_light=True,
         ending=EndingConfig(3, 2),
-        largest_gain=limit,
+        flux_limit=limit,
     )
 
 
