@@ -55,7 +55,7 @@ def write_lamps(folder, baked):
     import lumitree
     from lumitree.asset.asset import light_field_asset
     from lumitree.asset.spectrum import EmittedSpectrum
-    from lumitree.core.spectrum import sampled_spectrum
+    from lumitree.core.photometry import sampled_spectrum
     from support.fields import random_asset
     from support.lamps import GLASS, scene, sphere
     from support.light_fields import random_light_field

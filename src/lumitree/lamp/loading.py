@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.backend import load_mitsuba
+from lumitree.core.backend import in_turn, load_mitsuba
 from lumitree.core.frames import LocalFrame, float32_step
 from lumitree.core.mitsuba_meshes import mesh_vertices
-from lumitree.core.turns import in_turn
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.lamp.builtin.registry import BUILTIN
 from lumitree.lamp.far_coordinates import origin_near, warn_of_far_meshes

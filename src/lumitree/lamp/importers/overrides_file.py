@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from lumitree.asset.materials import CONDUCTORS
+from lumitree.core.arguments import UNITS
 from lumitree.core.photometry import MAX_TEMPERATURE, MIN_TEMPERATURE, blackbody_colour
 from lumitree.core.toml_table import (
     Table,
@@ -21,7 +22,6 @@ from lumitree.core.toml_table import (
     shown_value,
     text,
 )
-from lumitree.core.units import UNITS
 from lumitree.errors import LumitreeError, shown
 from lumitree.lamp.importers.overrides import Emission, MaterialOverride, Overrides
 from lumitree.lamp.parts import (

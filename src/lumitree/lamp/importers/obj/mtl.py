@@ -5,8 +5,8 @@ import math
 import warnings
 from pathlib import Path
 
+from lumitree.core.file_kinds import in_utf8
 from lumitree.core.reading import read_bytes
-from lumitree.core.text import in_utf8
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.lamp.importers.obj.numbers import readable, with_point
 
