@@ -15,7 +15,7 @@ from lumitree.core.system import num_cores
 from lumitree.errors import LumitreeError
 from lumitree.fit.config import QUALITIES
 from lumitree.fit.light_field import batches
-from lumitree.lamp import sent
+from lumitree.lamp import luminaire as sent
 from lumitree.rendering import passes, render_job
 from lumitree.trace import capture as views
 from support import executors

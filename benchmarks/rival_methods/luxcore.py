@@ -144,7 +144,7 @@ def material_properties(name: str, material: Json) -> Properties:
     Raises:
         LumitreeError: LuxCore has no equal of the material.
     """
-    from lumitree.lamp.conductors import normal_reflectance
+    from lumitree.lamp.scene_writer import normal_reflectance
     from lumitree.output.optics import plastic_index, principled_index, relative_index
 
     kind, prefix = material["type"], f"scene.materials.{name}"

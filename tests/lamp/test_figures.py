@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from lumitree.core.backend import load_mitsuba
-from lumitree.lamp.builtin.registry import BUILTIN
-from lumitree.lamp.figures import figures
-from lumitree.lamp.loading import load_luminaire
+from lumitree.lamp.builtin import BUILTIN
+from lumitree.lamp.luminaire import load_luminaire
 from lumitree.lamp.meshes import Mesh
 from lumitree.lamp.parts import (
     Diffuse,
@@ -15,6 +14,7 @@ from lumitree.lamp.parts import (
     Part,
     Texture,
     VertexColour,
+    figures,
 )
 from support.variant import VARIANT
 

@@ -5,10 +5,11 @@ import pytest
 
 from lumitree.core.images import srgb_from_linear
 from lumitree.errors import LumitreeError, LumitreeWarning
-from lumitree.lamp import masked_emission
-from lumitree.lamp.masked_emission import MaskedEmission, opacity_of_faces
+from lumitree.lamp import scene_writer as masked_emission
+from lumitree.lamp.importers.overrides import opacity_of_faces
 from lumitree.lamp.meshes import Mesh
 from lumitree.lamp.parts import Diffuse, Material, Texture
+from lumitree.lamp.scene_writer import MaskedEmission
 
 HALF = np.zeros((64, 64, 1), np.uint8)
 HALF[:, 32:] = 255

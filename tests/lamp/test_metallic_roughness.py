@@ -9,7 +9,7 @@ import pytest
 import lumitree
 from lumitree.core.device import on_device
 from lumitree.lamp.meshes import lathe
-from lumitree.lamp.metallic_roughness import register_metallic_roughness
+from lumitree.lamp.scene_file import register_metallic_roughness
 from lumitree.rendering.plugins.geometry_materials import Materials
 from support.gltf_builder import Gltf
 

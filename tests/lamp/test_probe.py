@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lumitree.errors import LumitreeError
-from lumitree.lamp.loading import load_luminaire
+from lumitree.lamp.luminaire import load_luminaire
 from support.lamps import AREA, cube, lamp_of, scene, sphere
 
 CHECKER = '<texture type="checkerboard" name="{}"/>'

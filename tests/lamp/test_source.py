@@ -7,8 +7,8 @@ import pytest
 import trimesh
 
 from lumitree.errors import LumitreeError
-from lumitree.lamp.loading import load_luminaire
-from lumitree.lamp.model_reading import read_model
+from lumitree.lamp.luminaire import load_luminaire
+from lumitree.lamp.read_source import read_model
 from lumitree.lamp.source import LuminaireSource
 
 BALL = trimesh.creation.icosphere(subdivisions=3, radius=5)

@@ -4,9 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from lumitree.lamp.loading import load_luminaire
+from lumitree.lamp.luminaire import load_luminaire, source_files
 from lumitree.lamp.source import LuminaireSource
-from lumitree.lamp.source_files import source_files
 from support.lamps import AREA, scene, sphere
 
 TRIANGLE = "v 0 0 0\nv 0 0 1\nv 1 0 0\nf 1 2 3\n"

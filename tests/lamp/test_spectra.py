@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lumitree.lamp.loading import load_luminaire
+from lumitree.lamp.luminaire import load_luminaire
 from lumitree.lamp.stored_geometry import stored_geometry
 from support.lamps import scene, sphere
 

@@ -8,7 +8,7 @@ from lumitree.asset.materials import check_material
 from lumitree.asset.plugins import PLUGINS
 from lumitree.asset.textures import ImageFacts
 from lumitree.errors import LumitreeError
-from lumitree.lamp.metallic_roughness import METALLIC_ROUGHNESS
+from lumitree.lamp.parts import METALLIC_ROUGHNESS
 
 RANDOM = np.random.default_rng(0)
 IMAGES = (

@@ -1,4 +1,4 @@
-"""Triangle meshes of revolution and swept tubes, with smooth normals.
+"""Triangle meshes: parts of them, surfaces of revolution and swept tubes with smooth normals.
 
 Lengths are in the caller's unit; y is up. Faces are counter-clockwise seen from where the normals
 point. A pole, where a ring of vertices would have no radius, is one vertex, so that closed
@@ -6,7 +6,7 @@ profiles and tubes give closed meshes.
 """
 
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -208,3 +208,52 @@ def skin(rings: Floats, normals: Floats, joined: NDArray[np.bool_]) -> Mesh:
     )
     proper = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
     return Mesh(rings[kept], normals[kept], faces[proper])
+
+
+def selected(mesh: Mesh, keep: NDArray[np.bool_]) -> Mesh:
+    """The faces that `keep` [F] marks, with the vertices they use."""
+    used, faces = np.unique(mesh.faces[keep], return_inverse=True)
+    return Mesh(
+        mesh.vertices[used],
+        mesh.normals[used],
+        faces.reshape(-1, 3),
+        None if mesh.uv is None else mesh.uv[used],
+        None if mesh.colours is None else mesh.colours[used],
+    )
+
+
+def with_backs(mesh: Mesh, doubled: NDArray[np.bool_], distance: float) -> Mesh:
+    """The mesh and a second, reversed copy of the faces that `doubled` [F] marks.
+
+    A surface emits from its front alone; with its copy it emits from both sides. With two faces in
+    one place a ray would hit either, so the copy lies behind by a distance in the mesh's unit.
+    """
+    back = selected(mesh, doubled)
+    vertices = back.vertices - distance * back.normals
+    back = dataclasses.replace(
+        back, vertices=vertices, normals=-back.normals, faces=back.faces[:, ::-1]
+    )
+    return Mesh(
+        np.concatenate([mesh.vertices, back.vertices]),
+        np.concatenate([mesh.normals, back.normals]),
+        np.concatenate([mesh.faces, back.faces + len(mesh.vertices)]),
+        None if mesh.uv is None or back.uv is None else np.concatenate([mesh.uv, back.uv]),
+        None
+        if mesh.colours is None or back.colours is None
+        else np.concatenate([mesh.colours, back.colours]),
+    )
+
+
+def by_handedness(mesh: Mesh, bumpy: bool) -> Iterator[tuple[Mesh, bool]]:
+    """The faces whose texture coordinates are mirrored apart from the others, if a mesh is bumpy.
+
+    The second axis of normal maps is turned round there. Mitsuba's is the product of the normal and
+    the first axis.
+    """
+    if not bumpy or mesh.uv is None:
+        yield mesh, False
+        return
+    mirrored = areas_on_image(mesh.uv, mesh.faces) > 0
+    for side in (False, True):
+        if (mirrored == side).any():
+            yield selected(mesh, mirrored == side), side

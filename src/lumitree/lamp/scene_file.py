@@ -2,10 +2,13 @@
 
 import contextlib
 import copy
+import dataclasses
+import importlib
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
+from xml.parsers import expat
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,14 +19,113 @@ from lumitree.core.file_kinds import SCENE, XML, what_it_is
 from lumitree.core.frames import similarity
 from lumitree.core.reading import read_bytes
 from lumitree.errors import LumitreeError, renderer_reason, shown
-from lumitree.lamp.blackbodies import replace_blackbodies
-from lumitree.lamp.importers.model_folder import MAX_MODEL_BYTES
+from lumitree.lamp.importers.model_files import MAX_MODEL_BYTES
 from lumitree.lamp.media import keep_clear_channels
-from lumitree.lamp.metallic_roughness import register_metallic_roughness
-from lumitree.lamp.names import select_names
-from lumitree.lamp.scene_instances import copy_instances, matrix_of, referred
-from lumitree.lamp.scene_shapes import CHOSEN_BY, SceneShape, shape_of_node
-from lumitree.lamp.spectra import spectra_of_emitters
+from lumitree.lamp.parts import select_names
+from lumitree.lamp.scene_shapes import CHOSEN_BY, SceneShape, referred, shape_of_node
+from lumitree.lamp.spectra import replace_blackbodies, spectra_of_emitters
+
+# Longest attribute that may be the name of a file.
+_MAX_NAME = 1000
+
+
+@dataclasses.dataclass
+class SceneNames:
+    """All files that a scene names, itself included, and the scenes among them that it includes.
+
+    Names with parameters, and names that are looked up in other folders than the scene's, are not
+    known; the names are then not `complete`.
+    """
+
+    files: set[Path] = dataclasses.field(default_factory=set)
+    included: list[Path] = dataclasses.field(default_factory=list)
+    complete: bool = True
+
+
+def scene_names(path: Path) -> SceneNames:
+    """The files that a scene names, which Mitsuba has read."""
+    names = SceneNames()
+    _add_names(path, path.parent, names)
+    return names
+
+
+def _add_names(path: Path, folder: Path, names: SceneNames) -> None:
+    """Add what a scene names; `folder` is the outermost scene's."""
+    names.files.add(path)
+    included = []
+
+    def opened(name: str, attributes: dict[str, str]) -> None:
+        if name == "path" or any("$" in value for value in attributes.values()):
+            names.complete = False
+        for value in attributes.values():
+            if 0 < len(value) <= _MAX_NAME and os.path.isfile(folder / value):
+                names.files.add(folder / value)
+        if name == "include":
+            included.append(folder / attributes.get("filename", ""))
+
+    parser = expat.ParserCreate()
+    parser.StartElementHandler = opened
+    try:
+        parser.Parse(read_bytes(path, "a Mitsuba scene", MAX_MODEL_BYTES), True)
+    except (expat.ExpatError, ValueError):
+        # Mitsuba's parser accepts more.
+        names.complete = False
+    for each in included:
+        if each.is_file() and each not in names.included:
+            names.included.append(each)
+            _add_names(each, folder, names)
+        else:
+            names.complete = False
+
+
+def copy_instances(state: Any) -> frozenset[int]:
+    """Replace the instances of a parsed scene by copies, which are placed in double precision.
+
+    `state` is mi.parser.ParserState, after `transform_all`. Returns numbers of the nodes that are
+    copies of mirrored instances: Mitsuba turns the normals of a mesh whose own transform mirrors
+    it, but not the normals of a mirrored instance.
+    """
+    mi = load_mitsuba()
+    root = state.nodes[0].props
+    groups, copies, mirrored = [], [], set[int]()
+    for key, index in referred(root).items():
+        props = state.nodes[index].props
+        match props.plugin_name():
+            case "shapegroup":
+                groups.append(key)
+            case "instance":
+                (group,) = referred(props).values()
+                members = referred(state.nodes[group].props).values()
+                copies.append((key, members, matrix_of(props)))
+    for key, members, matrix in copies:
+        for member in members:
+            node, copied = state.nodes[member], mi.parser.SceneNode()
+            copied.type, copied.props = node.type, mi.Properties(node.props)
+            copied.file_index, copied.offset = node.file_index, node.offset
+            place = matrix @ matrix_of(node.props)
+            copied.props["to_world"] = mi.ScalarTransform4d(place)
+            number = len(state.nodes)
+            if np.linalg.det(matrix[:3, :3]) < 0:
+                mirrored.add(number)
+            # The list of nodes may move in memory: what was taken from it is not used after this.
+            state.nodes.append(copied)
+            state.nodes[0].props[f"_arg_copy_{number}"] = mi.Properties.ResolvedReference(number)
+        del state.nodes[0].props[key]
+    for key in groups:
+        del state.nodes[0].props[key]
+    return frozenset(mirrored)
+
+
+def matrix_of(props: Any) -> NDArray[np.float64]:
+    """[4, 4] of the transform of a shape; Mitsuba refuses properties of other types."""
+    return np.array(getattr(props.get("to_world", None), "matrix", np.eye(4)), np.float64)
+
+
+def register_metallic_roughness() -> None:
+    """Register the BSDF of models with the variant of Mitsuba that is set."""
+    load_mitsuba()
+    # It imports Mitsuba, which a variant has to be set for.
+    importlib.import_module("lumitree.lamp.metallic_roughness").register()
 
 
 def refuse_kind(source: object, what: str) -> NoReturn:
@@ -319,7 +421,7 @@ class SceneFile:
         lamps = (node.props.plugin_name() == "lumitree_proxy" for node in self._used())
         self._config.parallel = not any(lamps)
         # Creating a scene clears the nodes.
-        from lumitree.lamp.textured_area import complete_textured_areas, replace_textured_areas
+        from lumitree.lamp.emitting_surfaces import complete_textured_areas, replace_textured_areas
 
         state = mi.parser.ParserState(self._state)
         replace_textured_areas(state)

@@ -4,24 +4,28 @@ import dataclasses
 import itertools
 import math
 import os
-from collections.abc import Sequence
+import warnings
+from collections.abc import Hashable, Sequence
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
+from numpy.typing import NDArray
 
+from lumitree.asset.textures import Json
 from lumitree.core.backend import load_mitsuba, second_thread
 from lumitree.core.files import atomic_path
 from lumitree.core.frames import is_far, similarity
+from lumitree.core.images import linear_from_srgb, resized
 from lumitree.core.mitsuba_meshes import VERTEX_COLOUR, make_mesh
 from lumitree.core.system import accepts_name
-from lumitree.lamp.conductors import normal_reflectance
-from lumitree.lamp.masked_emission import MaskedEmission
+from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.lamp.meshes import Floats, Mesh
-from lumitree.lamp.metallic_roughness import METALLIC_ROUGHNESS, register_metallic_roughness
-from lumitree.lamp.names import Names
 from lumitree.lamp.parts import (
+    METALLIC_ROUGHNESS,
+    RGB,
     WHITE,
     Colour,
     Diffuse,
@@ -30,14 +34,116 @@ from lumitree.lamp.parts import (
     Material,
     Medium,
     Metal,
+    Names,
     Part,
     Principled,
     Surface,
     Texture,
     Value,
     VertexColour,
+    transmits,
 )
+from lumitree.lamp.scene_file import register_metallic_roughness
 from lumitree.lamp.scene_shapes import SceneShape
+
+# For all products of one model.
+_MAX_BYTES = 5 * 2**28
+
+
+class MaskedEmission:
+    """Radiance times opacity of the materials of a model; equal products are made once."""
+
+    def __init__(self) -> None:
+        self._made: dict[Hashable, NDArray[np.float32]] = {}
+
+    def of(self, material: Material) -> Colour | None:
+        """Emission of a material; None for nothing.
+
+        The mean of an opacity whose texture coordinates differ from the radiance's, after a
+        warning.
+        """
+        radiance, opacity = material.radiance, material.opacity
+        if radiance is None or (not isinstance(opacity, Texture) and opacity == 0):
+            return None
+        if isinstance(radiance, VertexColour) or opacity == 1:
+            return radiance
+        if not isinstance(radiance, Texture):
+            if not isinstance(opacity, Texture):
+                red, green, blue = (float(opacity * value) for value in radiance)
+                return (red, green, blue)
+            return self._product(radiance, opacity, opacity, material.title)
+        if isinstance(opacity, Texture) and not _placed_alike(radiance, opacity):
+            warnings.warn(
+                f"material {shown(material.title)!r}: its opacity has other texture coordinates "
+                "than what it emits, which is multiplied by the mean of the opacity",
+                LumitreeWarning,
+                stacklevel=2,
+            )
+            opacity = float(opacity.pixels.mean() / 255)
+        return self._product(radiance, opacity, radiance, material.title)
+
+    def _product(
+        self, radiance: RGB | Texture, opacity: Value, placed: Texture, title: str
+    ) -> Texture:
+        """A texture that is placed like one of both."""
+        key = _key(radiance), _key(opacity)
+        if key not in self._made:
+            light, share = _linear(radiance), _linear(opacity)
+            height, width = np.maximum(light.shape[:2], share.shape[:2]).tolist()
+            size = sum(each.nbytes for each in self._made.values()) + 12 * height * width
+            if size > _MAX_BYTES:
+                raise LumitreeError(
+                    f"material {shown(title)!r}: what it emits, times its opacity, brings such "
+                    f"images to {size >> 20} MiB; at most {_MAX_BYTES >> 20} MiB: make them smaller"
+                )
+            product = _enlarged(light, height, width) * _enlarged(share, height, width)
+            self._made[key] = product.astype(np.float32)
+        return dataclasses.replace(placed, pixels=self._made[key], encoded=False)
+
+
+def _placed_alike(first: Texture, second: Texture) -> bool:
+    same = np.array_equal(first.uv_transform, second.uv_transform)
+    return same and first.wrap == second.wrap
+
+
+def _key(value: RGB | Value) -> Hashable:
+    return id(value.pixels) if isinstance(value, Texture) else value
+
+
+def _linear(value: RGB | Value) -> Any:
+    """Linear values [H, W, C]; [1, 1, C] of what is constant."""
+    if not isinstance(value, Texture):
+        return np.reshape(value, (1, 1, -1))
+    if value.pixels.dtype != np.uint8:
+        return value.pixels
+    pixels = value.pixels / np.float32(255)
+    return linear_from_srgb(pixels) if value.encoded else pixels
+
+
+def _enlarged(values: Any, height: int, width: int) -> Any:
+    """Values [H, W, C] in another size; a single pixel stays one."""
+    if values.shape[:2] in ((1, 1), (height, width)):
+        return values
+    return resized(values, height, width)
+
+
+def normal_reflectance(material: Json) -> list[float]:
+    """Reflectance [3] of a conductor at normal incidence, by Fresnel's equations."""
+    mi = load_mitsuba()
+    given = {name: material[name] for name in ("material", "eta", "k") if name in material}
+    if any(isinstance(value, dict) for value in given.values()):
+        return [1.0, 1.0, 1.0]
+    colours = {
+        name: {"type": "rgb", "value": value} if isinstance(value, list) else value
+        for name, value in given.items()
+    }
+    parameters = mi.traverse(mi.load_dict({"type": "conductor", **colours}))
+    eta, k = (
+        np.broadcast_to(np.array(parameters[f"{name}.value"], np.float64).ravel(), 3)
+        for name in ("eta", "k")
+    )
+    return (((eta - 1) ** 2 + k**2) / ((eta + 1) ** 2 + k**2)).tolist()
+
 
 SCENE_FILE = "luminaire.xml"
 # Prefix of the ids of materials.
@@ -276,14 +382,6 @@ def _recentred(model: Geometry) -> Geometry:
 def _reference(material: Material) -> str:
     # In a scene, ids of shapes and materials share one namespace, and $ begins a parameter.
     return _PREFIX + material.name.replace("$", "%24")
-
-
-def transmits(surface: Surface) -> bool:
-    """Whether light crosses a surface, so that its BSDF defines both sides."""
-    if isinstance(surface, Principled):
-        diffuse = surface.thin and surface.diffuse_transmission > 0
-        return diffuse or isinstance(surface.transmission, Texture) or surface.transmission > 0
-    return isinstance(surface, Glass)
 
 
 def _medium(shape: Element, medium: Medium) -> None:

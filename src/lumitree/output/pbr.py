@@ -14,7 +14,7 @@ from lumitree.asset.geometry import AssetGeometry
 from lumitree.asset.geometry_media import scattering_sides, side_medium
 from lumitree.asset.textures import ImageFacts, Json
 from lumitree.core.photometry import RGB
-from lumitree.lamp.conductors import normal_reflectance
+from lumitree.lamp.scene_writer import normal_reflectance
 from lumitree.output.optics import (
     LOST_REFLECTANCE,
     clearcoat_roughness,

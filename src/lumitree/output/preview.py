@@ -143,7 +143,7 @@ def preview(
         with reporting(progress):
             return _preview_asset(asset, sheet, resolution, samples_per_pixel)
     from lumitree.core.images import max_radiance
-    from lumitree.lamp.loading import load_luminaire
+    from lumitree.lamp.luminaire import load_luminaire
     from lumitree.output.preview_sheet import draw_preview, take_preview
     from lumitree.trace.flux import estimate_flux, missed_by_depth
 

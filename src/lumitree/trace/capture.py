@@ -14,8 +14,7 @@ from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.core.work_folder import alone_in
 from lumitree.errors import LumitreeError
-from lumitree.lamp.luminaire import Luminaire
-from lumitree.lamp.sent import LampWorkers, received_luminaire
+from lumitree.lamp.luminaire import LampWorkers, Luminaire, received_luminaire
 from lumitree.trace.cameras import Camera, ViewImages
 from lumitree.trace.tracing import PATH_DEPTH
 

@@ -59,7 +59,7 @@ def test_lamps_are_kept_without_being_loaded(folder, monkeypatch):
     make_old(folder / "a.xml", folder / "b.xml")
     bake(["a.xml", "b.xml"], "out")
     monkeypatch.setattr(
-        "lumitree.lamp.loading.load_luminaire", lambda *_: pytest.fail("a lamp was loaded")
+        "lumitree.lamp.luminaire.load_luminaire", lambda *_: pytest.fail("a lamp was loaded")
     )
     kept = bake(["a.xml", "b.xml"], "out")
     assert states(kept) == [("a", "kept"), ("b", "kept")]

@@ -6,10 +6,10 @@ import trimesh
 
 from lumitree.asset.geometry_media import scattering_sides
 from lumitree.errors import LumitreeError
-from lumitree.lamp.builtin.registry import BUILTIN
-from lumitree.lamp.loading import load_luminaire
+from lumitree.lamp.builtin import BUILTIN
+from lumitree.lamp.luminaire import load_luminaire
 from lumitree.lamp.meshes import frames, lathe, offset
-from lumitree.lamp.opening import scene_path
+from lumitree.lamp.read_source import scene_path
 from lumitree.lamp.scene_writer import SCENE_FILE, write_scene
 from lumitree.lamp.source import as_source
 from lumitree.lamp.stored_geometry import stored_geometry

@@ -5,7 +5,7 @@ import pytest
 
 from lumitree.core.device import on_device
 from lumitree.core.mitsuba_meshes import make_mesh
-from lumitree.lamp.builtin.registry import BUILTIN
+from lumitree.lamp.builtin import BUILTIN
 from lumitree.lamp.meshes import join, moved
 from lumitree.lamp.parts import Glass
 

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lumitree.errors import LumitreeError, LumitreeWarning
-from lumitree.lamp.importers.model_folder import MAX_MODEL_BYTES
-from lumitree.lamp.importers.obj.mtl import parse_mtl
-from lumitree.lamp.importers.obj.parse import parse_obj
+from lumitree.lamp.importers.model_files import MAX_MODEL_BYTES
+from lumitree.lamp.importers.mtl import parse_mtl
+from lumitree.lamp.importers.obj_text import parse_obj
 
 LINES = ["v 0 0 0", "v 1 0 0", "v 0 1 0", "vt 0 1", "vn 0 1 0", "f 1 2 3", "f -1 -2 -3", "f"]
 LINES += ["f 1/1 2/1 3/1", "f 1//1 2 3", "usemtl", "s", "s 1", "mtllib", "v", "#", "\\", "vt"]

@@ -6,7 +6,7 @@ import trimesh
 from PIL import Image
 
 from lumitree.errors import LumitreeWarning
-from lumitree.lamp.importers.obj.reader import read_obj
+from lumitree.lamp.importers.obj import read_obj
 from lumitree.lamp.importers.topology import count_solids
 from lumitree.lamp.parts import Diffuse, Glass, Metal, Principled, Texture, VertexColour
 

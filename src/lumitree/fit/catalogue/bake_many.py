@@ -27,7 +27,7 @@ from lumitree.fit.catalogue.record import BakedLamp, LampFiles, settings_text
 from lumitree.fit.catalogue.result import BakeManyResult
 from lumitree.fit.config import BakeConfig
 from lumitree.fit.sources import applicable, warn_of_unused
-from lumitree.lamp.builtin.registry import BUILTIN
+from lumitree.lamp.builtin import BUILTIN
 from lumitree.lamp.source import LuminaireSource, as_source, gldf_variant, source_kind
 
 # Interval at which lamps are tried again that other processes work on, s.

@@ -32,8 +32,8 @@ from lumitree.fit.config import BakeConfig
 from lumitree.fit.sources import bake_source
 from lumitree.fit.work import work_folder_of
 from lumitree.formats.photometric_file import read_again
-from lumitree.lamp.importers.model_folder import noted_files
-from lumitree.lamp.sent import absolute_source
+from lumitree.lamp.importers.model_files import noted_files
+from lumitree.lamp.luminaire import absolute_source
 from lumitree.lamp.source import LuminaireSource, dataset_folder, gldf_variant, source_kind
 
 # That of the largest format, ray files.
@@ -182,7 +182,7 @@ class LampJob:
 
     def _loaded(self) -> tuple[str, Any, list[Path] | None]:
         """Fingerprint of the luminaire, what `bake` gets for it, and the files it depends on."""
-        from lumitree.lamp.source_files import source_files
+        from lumitree.lamp.luminaire import source_files
 
         if source_kind(self.source) == "photometric":
             path, variant = gldf_variant(self.source.name)
@@ -197,7 +197,7 @@ class LampJob:
         if (dataset := dataset_folder(self.source)) is not None:
             digest = _digest(dataset / MANIFEST, "a dataset")
             return digest, self.source, source_files(self.source, None)
-        from lumitree.lamp.loading import load_luminaire
+        from lumitree.lamp.luminaire import load_luminaire
 
         luminaire = load_luminaire(self.source)
         return luminaire.fingerprint, luminaire, source_files(self.source, luminaire)

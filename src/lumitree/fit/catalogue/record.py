@@ -18,7 +18,7 @@ from lumitree.fit.catalogue.stamps import FileStamp, current_stamps, read_stamp,
 from lumitree.fit.catalogue.thumbnail import thumbnail, thumbnail_kind
 from lumitree.fit.config import BakeConfig
 from lumitree.fit.sources import PHOTOMETRIC_SETTINGS
-from lumitree.lamp.builtin.registry import BUILTIN
+from lumitree.lamp.builtin import BUILTIN
 from lumitree.lamp.source import LuminaireSource, source_kind
 
 # Folder of the thumbnails and records, within the assets' folder.

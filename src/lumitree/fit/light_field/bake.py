@@ -18,8 +18,7 @@ from lumitree.fit.light_field.batches import num_batches, path_batches
 from lumitree.fit.light_field.grid import grid_depth
 from lumitree.fit.light_field.inside import DISTANCES, light_inside
 from lumitree.fit.light_field.saved_field import SavedLightField
-from lumitree.lamp.luminaire import Luminaire
-from lumitree.lamp.sent import LampWorkers
+from lumitree.lamp.luminaire import LampWorkers, Luminaire
 from lumitree.trace.histograms import BinnedRays, EndingHistogram, Histogram
 from lumitree.trace.light_field_config import LightFieldFitConfig
 from lumitree.trace.lost_light import check_output

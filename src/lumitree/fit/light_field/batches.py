@@ -10,8 +10,7 @@ import numpy as np
 from lumitree.core.executor import run_tasks
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.fit.light_field.inside import DISTANCES
-from lumitree.lamp.luminaire import Luminaire
-from lumitree.lamp.sent import LampWorkers, received_luminaire
+from lumitree.lamp.luminaire import LampWorkers, Luminaire, received_luminaire
 from lumitree.trace.emitted_rays import as_rows
 from lumitree.trace.ending_segments import EndingConfig
 from lumitree.trace.histograms import BinnedRays, BinnedSegments, bin_rays, bin_segments

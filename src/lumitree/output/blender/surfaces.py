@@ -18,7 +18,7 @@ from lumitree.asset.geometry import AssetGeometry
 from lumitree.asset.geometry_media import scattering_sides, side_medium
 from lumitree.asset.materials import transmits
 from lumitree.asset.textures import Json
-from lumitree.lamp.conductors import normal_reflectance
+from lumitree.lamp.scene_writer import normal_reflectance
 from lumitree.output.blender.nodes import (
     SCALED_GAIN,
     TINT,

@@ -14,8 +14,8 @@ from lumitree.asset.geometry import AssetGeometry
 from lumitree.asset.geometry_media import MEDIA_SIDES, scattering_sides, side_medium
 from lumitree.asset.materials import transmits
 from lumitree.asset.textures import Json
-from lumitree.lamp.conductors import normal_reflectance
-from lumitree.lamp.metallic_roughness import METALLIC_ROUGHNESS
+from lumitree.lamp.parts import METALLIC_ROUGHNESS
+from lumitree.lamp.scene_writer import normal_reflectance
 from lumitree.output.optics import relative_index
 
 # Metals of a larger alpha end rays: what they reflect has no directions. Mitsuba's default.
