@@ -77,6 +77,14 @@ def lathe(profile: ArrayLike, segments: int, crease: float = 35.0) -> Mesh:
     return skin(revolve(profile[order]), revolve(normal), joined)
 
 
+def sphere(radius: float, segments: int) -> Mesh:
+    """Sphere about the origin."""
+    angle = np.linspace(-np.pi / 2, np.pi / 2, segments // 2 + 1)
+    profile = radius * np.column_stack([np.cos(angle), np.sin(angle)])
+    profile[[0, -1], 0] = 0.0
+    return lathe(profile, segments)
+
+
 def area_normals(positions: Floats, faces: NDArray[np.int64]) -> Floats:
     """Normals [F, 3] of faces [F, 3] of positions [V, 3]; their length is twice the area."""
     a, b, c = np.moveaxis(positions[faces], 1, 0)

@@ -127,7 +127,7 @@ def test_nodes_that_are_no_tree(tmp_path):
     refused(nodes([7]), r"nodes\[7\]")
     refused(nodes([], roots=(0, 0)), "twice")
     refused(nodes([1], [], roots=(0, 1)), "child of another")
-    refused(nodes([-1]), "children is -1")
+    refused(nodes([-1]), "indices of at least 0")
     chain = [[i + 1] for i in range(1000)] + [[]]
     refused(nodes(*chain), "deep")
 

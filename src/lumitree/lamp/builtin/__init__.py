@@ -10,57 +10,45 @@ chooses among emitters uniformly and all filaments are equally bright. Metal par
 where they are joined. Equal parts share one mesh.
 """
 
-import dataclasses
 from collections.abc import Callable
+from typing import NamedTuple
 
 from lumitree.lamp.builtin import bulbs, lanterns, neoclassical
 from lumitree.lamp.parts import Geometry
 
 
-@dataclasses.dataclass(frozen=True)
-class Builtin:
+class Builtin(NamedTuple):
     """A luminaire that comes with lumitree; `build` makes the same model every time."""
 
-    name: str
     description: str
     build: Callable[[], Geometry]
 
 
-_ALL = (
-    Builtin(
-        "bulbs",
+_PAPER = "stand-in for the paper's"
+BUILTIN: dict[str, Builtin] = {
+    "bulbs": Builtin(
         "five clear glass bulbs with coiled filaments on a hanging frame, 0.33 m",
         bulbs.build_bulbs,
     ),
-    Builtin(
-        "dallas",
-        "stand-in for the paper's Dallas: eight clear bulbs below a steel hoop, 0.65 m",
-        bulbs.build_dallas,
+    "dallas": Builtin(
+        f"{_PAPER} Dallas: eight clear bulbs below a steel hoop, 0.65 m", bulbs.build_dallas
     ),
-    Builtin(
-        "cluster",
-        "stand-in for the paper's Cluster: thirteen cast-glass globes, clear and tinted, 0.56 m",
+    "cluster": Builtin(
+        f"{_PAPER} Cluster: thirteen cast-glass globes, clear and tinted, 0.56 m",
         bulbs.build_cluster,
     ),
-    Builtin(
-        "neoclassical",
-        "stand-in for the paper's Neoclassical: crystal chandelier of eighteen arms, 0.95 m",
+    "neoclassical": Builtin(
+        f"{_PAPER} Neoclassical: crystal chandelier of eighteen arms, 0.95 m",
         neoclassical.build_neoclassical,
     ),
-    Builtin(
-        "portica",
-        "stand-in for the paper's Portica: arcaded lantern, opal roof, seven flame bulbs, 0.83 m",
+    "portica": Builtin(
+        f"{_PAPER} Portica: arcaded lantern, opal roof, seven flame bulbs, 0.83 m",
         lanterns.build_portica,
     ),
-    Builtin(
-        "star",
-        "stand-in for the paper's Star: Moravian star of scattering opal glass, 0.75 m",
-        lanterns.build_star,
+    "star": Builtin(
+        f"{_PAPER} Star: Moravian star of scattering opal glass, 0.75 m", lanterns.build_star
     ),
-    Builtin(
-        "arc",
-        "arc floor lamp: an opal globe on a long curved steel arm, 2.05 m",
-        bulbs.build_arc,
+    "arc": Builtin(
+        "arc floor lamp: an opal globe on a long curved steel arm, 2.05 m", bulbs.build_arc
     ),
-)
-BUILTIN: dict[str, Builtin] = {builtin.name: builtin for builtin in _ALL}
+}

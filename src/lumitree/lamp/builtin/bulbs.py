@@ -33,7 +33,7 @@ _PEAR_BULB = HangingBulb(_PEAR, Filament(4, cage=0.0155, spacing=0.0155, top=-0.
 
 
 def build_bulbs() -> Geometry:
-    """The lamp's parts and materials."""
+    """`bulbs`: clear bulbs with coil filaments on a brass and black steel frame."""
     turns = tuple(around(_BULBS_COUNT))
     sites = tuple(turn @ at(_ARM_RADIUS, _BULBS_HEIGHT) for turn in turns)
     parts = (
@@ -85,7 +85,7 @@ _DROP_BULB = HangingBulb(_DROP, _CAGE)
 
 
 def build_dallas() -> Geometry:
-    """The lamp's parts and materials."""
+    """`dallas`: it emits mostly along caustic paths, like the paper's Dallas."""
     sites = [place @ at(0, _HOOP_TOP - 0.088) for place in around(_DALLAS_COUNT, _HOOP)]
     whole = (np.eye(4),)
     parts = (
@@ -135,7 +135,7 @@ _TINTS = {
 
 
 def build_cluster() -> Geometry:
-    """The lamp's parts and materials."""
+    """`cluster`: its tinted glass has an absorbing medium. It is the brightest stand-in."""
     groups = _sites()
     everywhere = tuple(site for sites in groups.values() for site in sites)
     parts = [
@@ -202,7 +202,7 @@ _BRUSHED_STEEL = Material("brushed_steel", Metal((1.0, 1.0, 1.0), 0.4, "Cr", BEC
 
 
 def build_arc() -> Geometry:
-    """The lamp's parts and materials."""
+    """`arc`: its bounding box is almost empty, so what it illuminates usually stands in the box."""
     bulb, whole = (at(_REACH, _ARC_BULB_HEIGHT),), (np.eye(4),)
     parts = (
         Part("foot", _foot(), "marble", whole),
@@ -252,13 +252,8 @@ def _ferrules() -> Mesh:
     knob = [[0, 0], [0.005, 0], [0.005, 0.022], [0.013, 0.024], [0.013, 0.036], [0.01, 0.039]]
     # It points away from the globe.
     turned = np.array([[0.0, -1, 0, -0.015], [1, 0, 0, y - 0.026], [0, 0, 1, 0], [0, 0, 0, 1]])
-    return join(
-        [
-            lathe(rosette, 64),
-            lathe(collar, 48),
-            moved(lathe([*knob, [0, 0.039]], 32), turned),
-        ]
-    )
+    knob = moved(lathe([*knob, [0, 0.039]], 32), turned)
+    return join([lathe(rosette, 64), lathe(collar, 48), knob])
 
 
 def _holder() -> Mesh:

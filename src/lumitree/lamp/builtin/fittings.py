@@ -30,11 +30,9 @@ from lumitree.lamp.meshes import (
 from lumitree.lamp.parts import RGB, Diffuse, Glass, Material, Metal, Microfacets, Part, Principled
 
 
-def at(
-    x: float = 0.0, y: float = 0.0, z: float = 0.0, *, turn: float = 0.0, scale: float = 1.0
-) -> Floats:
+def at(x: float = 0.0, y: float = 0.0, z: float = 0.0, *, turn: float = 0.0) -> Floats:
     """Place [4, 4] at a point, metres, turned about y by `turn` degrees."""
-    return similarity(rotation([0, 1, 0], turn), scale, [x, y, z])
+    return similarity(rotation([0, 1, 0], turn), translation=[x, y, z])
 
 
 def around(count: int, radius: float = 0.0, y: float = 0.0, first: float = 0.0) -> list[Floats]:
@@ -271,10 +269,7 @@ class HangingBulb:
     def parts(
         self, prefix: str, sites: Sequence[Floats], glass: str, filament: str
     ) -> tuple[Part, ...]:
-        """Cap, glass, supports and filament at the sites, `world_from_bulb` [4, 4].
-
-        Materials other than `glass` and `filament` are "steel".
-        """
+        """Cap, glass, supports and filament at the sites, `world_from_bulb` [4, 4]."""
         places = tuple(sites)
         return (
             Part(f"{prefix}_cap", screw_cap(), "steel", places),
@@ -356,18 +351,8 @@ def supports(filament: Filament) -> Mesh:
     return join([button, *tubes])
 
 
-_FLAME = (
-    (0, -0.012),
-    (0.0062, -0.012),
-    (0.0062, -0.001),
-    (0.0105, 0.008),
-    (0.0185, 0.022),
-    (0.0185, 0.044),
-    (0.0115, 0.061),
-    (0.0055, 0.078),
-    (0.0028, 0.09),
-    (0, 0.09),
-)
+_FLAME = ((0, -0.012), (0.0062, -0.012), (0.0062, -0.001), (0.0105, 0.008), (0.0185, 0.022))
+_FLAME += ((0.0185, 0.044), (0.0115, 0.061), (0.0055, 0.078), (0.0028, 0.09), (0, 0.09))
 
 
 def flame_bulb(prefix: str, sites: Sequence[Floats], glass: str, filament: str) -> tuple[Part, ...]:

@@ -34,7 +34,18 @@ from lumitree.lamp.builtin.fittings import (
     sheet,
     strut,
 )
-from lumitree.lamp.meshes import Floats, Mesh, facets, join, lathe, moved, resample, smooth, sweep
+from lumitree.lamp.meshes import (
+    Floats,
+    Mesh,
+    facets,
+    join,
+    lathe,
+    moved,
+    resample,
+    smooth,
+    sphere,
+    sweep,
+)
 from lumitree.lamp.parts import Diffuse, Geometry, Glass, Material, Medium, Part
 
 _SIDES = 6
@@ -50,17 +61,18 @@ _CANDLE = 0.075  # height, metres
 
 
 def build_portica() -> Geometry:
-    """The lamp's parts and materials."""
+    """`portica`: opaque, translucent and clear parts around the lights."""
     whole = (np.eye(4),)
     # A side's frame: x along it, z outwards, the origin on the lamp's axis.
     sides = tuple(turn @ at(turn=90.0) for turn in around(_SIDES, first=30.0))
+    rails = ((_TOP - 0.02, _CORNER - 0.008), (_TOP + 0.008, _CORNER - 0.008))
     candles = [at(0, _FLOOR), *around(_SIDES, _CANDLES, _FLOOR)]
     flames = [place @ at(0, _CANDLE - 0.002) for place in candles]
     parts = (
         Part("side_panel", _panel(), "bronze", sides),
         Part("side_pane", _pane(), "glass", sides),
         Part("roof_sheet", _roof_sheet(), "opal_sheet", sides),
-        Part("frieze_sheet", _frieze_sheet(), "opal_sheet", sides),
+        Part("frieze_sheet", sheet(_trapezoid(*rails)), "opal_sheet", sides),
         Part("floor_sheet", _floor_sheet(), "opal_sheet", whole),
         Part("frame_bronze", _frame(), "bronze", whole),
         Part("frame_brass", _ornaments(), "brass", whole),
@@ -105,11 +117,6 @@ def _roof_sheet() -> Mesh:
     return sheet(_trapezoid(low, high))
 
 
-def _frieze_sheet() -> Mesh:
-    """Opal strip between the rails of arcade and roof."""
-    return sheet(_trapezoid((_TOP - 0.02, _CORNER - 0.008), (_TOP + 0.008, _CORNER - 0.008)))
-
-
 def _trapezoid(low: tuple[float, float], high: tuple[float, float]) -> list[list[float]]:
     """Corners [4, 3] in a side's frame, from heights and distances of the corners from the axis."""
     slope = np.cos(np.pi / _SIDES)
@@ -151,13 +158,8 @@ def _ornaments() -> Mesh:
     cap += [[0.034, -0.25], [0.046, -0.243], [0.046, -0.236], [0.014, -0.226], [0.008, -0.218]]
     cap += [[0.012, -0.21], [0.008, -0.2], [0, -0.2]]
     finial = [[0, _BOTTOM - 0.05], [0.006, _BOTTOM - 0.05], [0.013, _BOTTOM - 0.036]]
-    finial += [
-        [0.006, _BOTTOM - 0.022],
-        [0.022, _BOTTOM - 0.01],
-        [0.03, _BOTTOM],
-        [0.03, _BOTTOM + 0.004],
-    ]
-    finial += [[0, _BOTTOM + 0.004]]
+    finial += [[0.006, _BOTTOM - 0.022], [0.022, _BOTTOM - 0.01], [0.03, _BOTTOM]]
+    finial += [[0.03, _BOTTOM + 0.004], [0, _BOTTOM + 0.004]]
     ball = [[0, 0], [0.008, 0], [0.005, 0.006], [0.013, 0.016], [0.008, 0.028], [0.003, 0.036]]
     acorn = lathe(smooth([*ball, [0.002, 0.048], [0, 0.048]], 3), 24)
     balls = [moved(acorn, place) for place in around(_SIDES, _CORNER + 0.004, _TOP + 0.014)]
@@ -170,20 +172,12 @@ def _ornaments() -> Mesh:
 
 def _column() -> Mesh:
     """Corner column with base and capital."""
-    base = [
-        [0, _BOTTOM - 0.012],
-        [0.006, _BOTTOM - 0.012],
-        [0.012, _BOTTOM],
-        [0.0125, _BOTTOM + 0.016],
-    ]
+    base = [[0, _BOTTOM - 0.012], [0.006, _BOTTOM - 0.012], [0.012, _BOTTOM]]
+    base += [[0.0125, _BOTTOM + 0.016]]
     base += [[0.009, _BOTTOM + 0.022], [0.0105, _BOTTOM + 0.028], [0.0075, _BOTTOM + 0.034]]
     capital = [[0.0066, _TOP - 0.06], [0.0095, _TOP - 0.056], [0.0068, _TOP - 0.05]]
-    capital += [
-        [0.008, _TOP - 0.04],
-        [0.0125, _TOP - 0.03],
-        [0.0125, _TOP - 0.022],
-        [0, _TOP - 0.022],
-    ]
+    capital += [[0.008, _TOP - 0.04], [0.0125, _TOP - 0.03], [0.0125, _TOP - 0.022]]
+    capital += [[0, _TOP - 0.022]]
     return lathe(resample(smooth([*base, *capital], 3), 70), 28, crease=50)
 
 
@@ -216,7 +210,11 @@ class _Point:
 
 
 def build_star() -> Geometry:
-    """The lamp's parts and materials."""
+    """`star`: a hollow wall of scattering glass, with a lamp in every point.
+
+    Radiance seen from outside is at most about 4.5; the lamps themselves are hidden in the body.
+
+    """
     points = _points()
     centre = at(0, _CENTRE)
     lamps = [centre @ aimed(point.axis, _LAMP_FROM * point.axis) for point in points]
@@ -294,13 +292,13 @@ def _edges(points: list[_Point]) -> Mesh:
             valley = frozenset((index(corner), index(following)))
             normals.setdefault(valley, []).append(outward[i])
         finial = point.tip + (_FINIAL + _CLEARANCE) * point.axis
-        pieces.append(moved(_sphere(_FINIAL, 20), at(*finial)))
+        pieces.append(moved(sphere(_FINIAL, 20), at(*finial)))
     for valley, (first, second) in normals.items():
         # At the same distance from the two planes that meet in the valley.
         raised = gap / (1 + first @ second) * (first + second)
         start, end = corners[sorted(valley)] + raised
         pieces.append(strut(start, end, _EDGE))
-    joint = _sphere(_JOINT, 16)
+    joint = sphere(_JOINT, 16)
     pieces += [
         moved(joint, at(*(corner * (1 + _RAISED / np.linalg.norm(corner))))) for corner in corners
     ]
@@ -316,7 +314,7 @@ def _stalks(points: list[_Point]) -> Mesh:
     """Hub in the cavity, with a stalk to each lamp."""
     start, end = 0.005, _LAMP_FROM - 0.001
     stalks = [strut(start * point.axis, end * point.axis, 0.0012, 8) for point in points]
-    return join([_sphere(0.014, 24), *stalks])
+    return join([sphere(0.014, 24), *stalks])
 
 
 def _lamp(length: float) -> Mesh:
@@ -326,10 +324,3 @@ def _lamp(length: float) -> Mesh:
     profile[[0, -1], 0] = 0.0
     profile[7:, 1] += length - 2 * _LAMP_RADIUS
     return lathe(profile, 20)
-
-
-def _sphere(radius: float, segments: int) -> Mesh:
-    angle = np.linspace(-np.pi / 2, np.pi / 2, segments // 2 + 1)
-    profile = radius * np.column_stack([np.cos(angle), np.sin(angle)])
-    profile[[0, -1], 0] = 0.0
-    return lathe(profile, segments)

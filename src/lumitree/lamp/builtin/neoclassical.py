@@ -94,12 +94,8 @@ def pendant(length: float) -> tuple[Mesh, Mesh]:
     octagon = cut(_octagon(0.26 * length), 8, 0.5)
     first, second = -0.055 * length, -0.055 * length - 0.26 * length
     drop = second - 0.035 * length
-    glass = join(
-        [
-            moved(octagon, at(0, (first + second) / 2, 0)),
-            moved(cut(pear, 8, 0.55), at(0, drop, 0)),
-        ]
-    )
+    above = moved(octagon, at(0, (first + second) / 2, 0))
+    glass = join([above, moved(cut(pear, 8, 0.55), at(0, drop, 0))])
     pins = join([_pin([0, 0, 0], [0, first, 0]), _pin([0, second, 0], [0, drop, 0], both=True)])
     return glass, pins
 

@@ -22,13 +22,28 @@ from lumitree.core.reading import read_bytes
 from lumitree.errors import LumitreeError, shown, shown_names
 from lumitree.lamp.importers.model_files import ModelFolder
 
+MAX_FILE_BYTES = 2**31
+# Most values of the JSON text; each takes about 100 bytes of memory.
+MAX_VALUES = 5_000_000
+_MATERIALS = ("anisotropy", "clearcoat", "diffuse_transmission", "dispersion", "emissive_strength")
+_MATERIALS += ("ior", "iridescence", "pbrSpecularGlossiness", "sheen", "specular", "transmission")
+_MATERIALS += ("unlit", "variants", "volume")
+SUPPORTED_EXTENSIONS = {
+    "EXT_mesh_gpu_instancing",
+    "EXT_texture_webp",
+    "KHR_lights_punctual",
+    "KHR_mesh_quantization",
+    "KHR_texture_transform",
+    *(f"KHR_materials_{name}" for name in _MATERIALS),
+}
+_JSON_CHUNK, _BINARY_CHUNK = 0x4E4F534A, 0x004E4942
 # Larger lengths, factors and offsets are refused: the file is damaged. Products of two values are
 # still in the range of single precision.
 MAX_MAGNITUDE = 1e15
 
 
 class Item:
-    """A JSON object; every reader checks the type and the range of what it returns.
+    """A JSON object; every reader checks the type and the range of its result.
 
     `where` is its place in the file, for messages, such as `lamp.gltf: materials[3]`.
     """
@@ -51,7 +66,7 @@ class Item:
     ) -> float:
         """A number in [low, high], and of at most MAX_MAGNITUDE."""
         value = self.data.get(key, default)
-        if not _is_number(value) or not low <= value <= high:
+        if not _is_number(value, low, high):
             raise self._wrong(key, value, f"a number{_range(low, high)}")
         return float(value)
 
@@ -64,18 +79,15 @@ class Item:
     ) -> tuple[float, ...]:
         """As many finite numbers in [low, high] as there are defaults."""
         value = self.data.get(key, default)
-        if (
-            not isinstance(value, list | tuple)
-            or len(value) != len(default)
-            or not all(_is_number(entry) and low <= entry <= high for entry in value)
-        ):
+        listed = isinstance(value, list | tuple) and len(value) == len(default)
+        if not (listed and all(_is_number(entry, low, high) for entry in value)):
             raise self._wrong(key, value, f"{len(default)} numbers{_range(low, high)}")
         return tuple(float(entry) for entry in value)
 
     def integer(self, key: str, default: int | None = None, low: int = 0) -> int:
         """An integer that is at least `low`; an error where it is missing without a default."""
         value = self.data.get(key, default)
-        if isinstance(value, bool) or not isinstance(value, int) or value < low:
+        if type(value) is not int or value < low:
             raise self._wrong(key, value, f"an integer of at least {low}")
         return value
 
@@ -85,12 +97,9 @@ class Item:
 
     def indices(self, key: str) -> list[int]:
         """A list of indices; empty where it is missing."""
-        value = self.data.get(key, [])
-        if not isinstance(value, list):
-            raise self._wrong(key, value, "a list")
-        for entry in value:
-            if isinstance(entry, bool) or not isinstance(entry, int) or entry < 0:
-                raise self._wrong(key, entry, "indices of at least 0")
+        value = self._list(key)
+        if not all(type(entry) is int and entry >= 0 for entry in value):
+            raise self._wrong(key, value, "indices of at least 0")
         return value
 
     def string(self, key: str, default: str) -> str:
@@ -112,15 +121,12 @@ class Item:
 
     def items(self, key: str) -> list["Item"]:
         """A list of objects; empty where it is missing."""
-        value = self.data.get(key, [])
-        if not isinstance(value, list):
-            raise self._wrong(key, value, "a list")
-        return [Item(entry, f"{self.where}.{key}[{i}]") for i, entry in enumerate(value)]
+        return [Item(each, f"{self.where}.{key}[{i}]") for i, each in enumerate(self._list(key))]
 
     def strings(self, key: str) -> list[str]:
         """A list of strings; empty where it is missing."""
-        value = self.data.get(key, [])
-        if not isinstance(value, list) or not all(isinstance(entry, str) for entry in value):
+        value = self._list(key)
+        if not all(isinstance(entry, str) for entry in value):
             raise self._wrong(key, value, "a list of strings")
         return value
 
@@ -129,55 +135,29 @@ class Item:
         extensions = self.item("extensions")
         return extensions.item(name) if name in extensions else None
 
+    def _list(self, key: str) -> list[Any]:
+        value = self.data.get(key, [])
+        if not isinstance(value, list):
+            raise self._wrong(key, value, "a list")
+        return value
+
     def _wrong(self, key: str, value: Any, expected: str) -> LumitreeError:
         found = "is missing" if value is None else f"is {_shown(value)}"
         return self.error(f"is damaged: {key} {found}; expected {expected}")
 
 
-def _is_number(value: Any) -> bool:
+def _is_number(value: Any, low: float, high: float) -> bool:
     # bool is a kind of int; not a number compares false.
-    number = isinstance(value, int | float) and not isinstance(value, bool)
-    return number and abs(value) <= MAX_MAGNITUDE
+    return type(value) in (int, float) and abs(value) <= MAX_MAGNITUDE and low <= value <= high
 
 
 def _range(low: float, high: float) -> str:
-    if low == -math.inf and high == math.inf:
-        return ""
-    return f" in [{low:g}, {high:g}]"
+    return "" if low == -math.inf and high == math.inf else f" in [{low:g}, {high:g}]"
 
 
 def _shown(value: Any) -> str:
     # A list of any length or depth.
     return shown(reprlib.repr(value), 40)
-
-
-MAX_FILE_BYTES = 2**31
-# Most values of the JSON text; each takes about 100 bytes of memory.
-MAX_VALUES = 5_000_000
-SUPPORTED_EXTENSIONS = frozenset(
-    {
-        "EXT_mesh_gpu_instancing",
-        "EXT_texture_webp",
-        "KHR_lights_punctual",
-        "KHR_materials_anisotropy",
-        "KHR_materials_clearcoat",
-        "KHR_materials_diffuse_transmission",
-        "KHR_materials_dispersion",
-        "KHR_materials_emissive_strength",
-        "KHR_materials_ior",
-        "KHR_materials_iridescence",
-        "KHR_materials_pbrSpecularGlossiness",
-        "KHR_materials_sheen",
-        "KHR_materials_specular",
-        "KHR_materials_transmission",
-        "KHR_materials_unlit",
-        "KHR_materials_variants",
-        "KHR_materials_volume",
-        "KHR_mesh_quantization",
-        "KHR_texture_transform",
-    }
-)
-_JSON_CHUNK, _BINARY_CHUNK = 0x4E4F534A, 0x004E4942
 
 
 class Document:
@@ -195,7 +175,10 @@ class Document:
         self.root = Item(_parse(text, self.name), f"{self.name}:")
         self._buffers: dict[int, bytes] = {}
         self._held = len(text) + len(self._binary or b"")
-        self._check_version()
+        asset = self.root.item("asset")
+        version = asset.string("minVersion", asset.string("version", "none"))
+        if not version.startswith("2."):
+            raise LumitreeError(f"{self.name} is glTF version {shown(version, 20)!r}; need 2.0")
         required = set(self.root.strings("extensionsRequired"))
         if missing := sorted(required - SUPPORTED_EXTENSIONS):
             raise LumitreeError(
@@ -205,16 +188,12 @@ class Document:
         self.unknown_extensions = sorted(
             set(self.root.strings("extensionsUsed")) - SUPPORTED_EXTENSIONS
         )
-        self._lists: dict[str, list[Any]] = {}
 
     def entry(self, kind: str, index: int) -> Item:
         """Entry of one of the file's lists, such as `materials`."""
-        if kind not in self._lists:
-            entries = self.root.data.get(kind, [])
-            if not isinstance(entries, list):
-                raise self.root.error(f"{kind} is not a list; the file is damaged")
-            self._lists[kind] = entries
-        entries = self._lists[kind]
+        entries = self.root.data.get(kind, [])
+        if not isinstance(entries, list):
+            raise self.root.error(f"{kind} is not a list; the file is damaged")
         if index >= len(entries):
             raise self.root.error(f"{kind}[{index}] is named, but there are {len(entries)}")
         return Item(entries[index], f"{self.name}: {kind}[{index}]")
@@ -266,15 +245,8 @@ class Document:
             self._buffers[index] = data[:length]
         return self._buffers[index]
 
-    def _check_version(self) -> None:
-        asset = self.root.item("asset")
-        version = asset.string("minVersion", asset.string("version", "none"))
-        if not version.startswith("2."):
-            raise LumitreeError(f"{self.name} is glTF version {shown(version, 20)!r}; need 2.0")
-
 
 def _split(path: Path, name: str, data: bytes) -> tuple[bytes, bytes | None]:
-    """JSON and binary chunk of a file's bytes."""
     if data[:4] != b"glTF":
         if path.suffix.lower() == ".glb":
             raise LumitreeError(f"{name} is not a GLB file: it does not begin with 'glTF'")
@@ -295,11 +267,10 @@ def _split(path: Path, name: str, data: bytes) -> tuple[bytes, bytes | None]:
         if at + 8 > length:
             raise damaged
         size, kind = struct.unpack_from("<II", data, at)
-        at += 8
-        if at + size > length:
+        if at + 8 + size > length:
             raise damaged
-        chunks.setdefault(kind, data[at : at + size])
-        at += size
+        chunks.setdefault(kind, data[at + 8 : at + 8 + size])
+        at += 8 + size
     if _JSON_CHUNK not in chunks:
         raise LumitreeError(f"{name} is a GLB file without a JSON chunk; it is damaged")
     return chunks[_JSON_CHUNK], chunks.get(_BINARY_CHUNK)
@@ -310,16 +281,16 @@ def _parse(text: bytes, name: str) -> Any:
         raise LumitreeError(
             f"{name} has more than {MAX_VALUES:,} values in its JSON text; export fewer objects"
         )
+
+    def refuse(constant: str) -> NoReturn:
+        raise ValueError(f"{constant} is not a JSON number")
+
     try:
-        return json.loads(text.decode("utf-8-sig"), parse_constant=_refuse_constant)
+        return json.loads(text.decode("utf-8-sig"), parse_constant=refuse)
     except RecursionError:
         raise LumitreeError(f"{name} is nested too deeply to be a glTF file") from None
     except ValueError as error:
         raise LumitreeError(f"{name} is not valid JSON: {shown(error, 120)}") from None
-
-
-def _refuse_constant(name: str) -> NoReturn:
-    raise ValueError(f"{name} is not a JSON number")
 
 
 def _data_uri(uri: str, item: Item) -> bytes:

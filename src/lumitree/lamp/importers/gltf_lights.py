@@ -8,7 +8,7 @@ import numpy as np
 from lumitree.core.photometry import LUMENS_PER_WATT
 from lumitree.errors import shown
 from lumitree.lamp.importers.gltf_document import Item, Notes
-from lumitree.lamp.meshes import Floats, Mesh, area_normals, lathe
+from lumitree.lamp.meshes import Floats, Mesh, area_normals, lathe, sphere
 from lumitree.lamp.parts import RGB, Diffuse, Material, Part, Texture
 
 # Metres, about the size of a filament: small compared with a lamp, but large enough that paths
@@ -50,7 +50,7 @@ def light_parts(
         notes.file("the range of lights (there is no distance at which light ends)")
     if intensity == 0 or max(colour) == 0:
         return []
-    emitter = _sphere(LIGHT_RADIUS)
+    emitter = sphere(LIGHT_RADIUS, _SEGMENTS)
     places = tuple(_place(world, turned=cone is not None) for world in worlds)
     # The mean projected area of a convex body is a quarter of its surface.
     area, others = _area(emitter) / 4, []
@@ -97,7 +97,7 @@ def _spot(inner: float, outer: float) -> tuple[Mesh, float, Texture]:
     """
     radius = LIGHT_RADIUS * max(outer * _BLUR, _MIN_BLUR)
     disk = inner <= _MAX_DISK
-    emitter = lathe([[radius, 0.0], [0.0, 0.0]], _SEGMENTS) if disk else _sphere(radius)
+    emitter = lathe([[radius, 0.0], [0.0, 0.0]], _SEGMENTS) if disk else sphere(radius, _SEGMENTS)
     area = _area(emitter) if disk else _area(emitter) / 4
     samples = 16
     angle = (np.arange(_ROWS * samples) + 0.5) / (_ROWS * samples) * outer * _MARGIN
@@ -136,13 +136,6 @@ def _place(world: Floats, turned: bool) -> Floats:
         side /= np.linalg.norm(side)
         place[:3, :3] = np.stack([side, axis, np.cross(side, axis)], axis=1)
     return place
-
-
-def _sphere(radius: float) -> Mesh:
-    angle = np.linspace(-np.pi / 2, np.pi / 2, _SEGMENTS // 2 + 1)
-    profile = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    profile[[0, -1], 0] = 0.0
-    return lathe(profile, _SEGMENTS)
 
 
 def _area(mesh: Mesh) -> float:

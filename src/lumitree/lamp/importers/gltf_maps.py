@@ -23,61 +23,18 @@ from lumitree.lamp.parts import RGB, Texture
 
 _FORMATS = ("PNG", "JPEG", "WEBP")
 _NEAREST = 9728
-_WRAPS: dict[int, Literal["repeat", "mirror", "clamp"]] = {
-    10497: "repeat",
-    33648: "mirror",
-    33071: "clamp",
-}
+Wrap = Literal["repeat", "mirror", "clamp"]
+_WRAPS: dict[int, Wrap] = {10497: "repeat", 33648: "mirror", 33071: "clamp"}
+Array = NDArray[np.floating]
+_FLOAT_BYTES = 4
 
 
 @dataclasses.dataclass(frozen=True)
 class Sampler:
     """How an image is looked up; `wrap` is outside [0, 1], along u and along v."""
 
-    wrap: tuple[Literal["repeat", "mirror", "clamp"], Literal["repeat", "mirror", "clamp"]]
-    nearest: bool
-
-
-class GltfImages:
-    """The images of a glTF file's textures."""
-
-    def __init__(self, document: Document, images: Images) -> None:
-        self._document, self._images = document, images
-
-    def texture(self, index: int) -> tuple[DecodedImage, Sampler] | str:
-        """Image of a texture, and its sampler; the name of a file that is missing."""
-        texture = self._document.entry("textures", index)
-        source = texture.index("source")
-        if source is None and (webp := texture.extension("EXT_texture_webp")) is not None:
-            source = webp.index("source")
-        if source is None:
-            raise texture.error("has no PNG, JPEG or WebP image; export it with one")
-        item = self._document.entry("images", source)
-        if self._document.is_missing(item):
-            return item.string("uri", "")
-        image = self._images.decoded(source, lambda: self._bytes(item), item.where, _FORMATS)
-        return image, self._sampler(texture)
-
-    def _sampler(self, texture: Item) -> Sampler:
-        index = texture.index("sampler")
-        if index is None:
-            return Sampler(("repeat", "repeat"), False)
-        item = self._document.entry("samplers", index)
-        along_u, along_v = item.integer("wrapS", 10497), item.integer("wrapT", 10497)
-        if along_u not in _WRAPS or along_v not in _WRAPS:
-            raise item.error(f"has wrap modes {along_u} and {along_v}; expected {sorted(_WRAPS)}")
-        nearest = item.integer("magFilter", 9729) == _NEAREST
-        return Sampler((_WRAPS[along_u], _WRAPS[along_v]), nearest)
-
-    def _bytes(self, item: Item) -> bytes:
-        view = item.index("bufferView")
-        if view is None:
-            return self._document.resource(item)
-        return bytes(self._document.view(view)[0])
-
-
-Array = NDArray[np.floating]
-_FLOAT_BYTES = 4
+    wrap: tuple[Wrap, Wrap] = ("repeat", "repeat")
+    nearest: bool = False
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -158,9 +115,7 @@ class Map:
         return tuple(((weights * self.levels).sum(axis=0) / weights.sum(axis=0)).tolist())
 
     def black(self) -> bool:
-        if self.floats is not None:
-            return not self.floats.any()
-        return not self.levels[self._counts() > 0].any()
+        return (flat := self.flat()) is not None and not any(flat)
 
     def flat(self) -> tuple[float, ...] | None:
         """[C] where it is the same everywhere; None where it is not."""
@@ -179,7 +134,6 @@ class Map:
         return self.sampler == other.sampler and np.allclose(self.uv_transform, other.uv_transform)
 
     def _counts(self) -> NDArray[np.int64]:
-        """How many pixels have each level [256, C], or [1, C]."""
         if self.image is None:
             return np.ones(self.levels.shape, np.int64)
         return self.image.counts[self.first : self.first + self.levels.shape[1]].T
@@ -193,8 +147,8 @@ def constant(*values: float) -> Map:
 class Textures:
     """Reads a file's textures as maps, and turns maps into the model's textures."""
 
-    def __init__(self, images: Images, textures: GltfImages) -> None:
-        self._images, self._textures = images, textures
+    def __init__(self, document: Document) -> None:
+        self._document, self._images = document, Images()
         # Maps of the same pixels share one array, so that it is written once.
         self._pixels: dict[tuple, NDArray] = {}
 
@@ -203,14 +157,36 @@ class Textures:
 
         `channels` are neighbours in "RGBA", such as "RGB" or "A"; `encoded` values are in sRGB.
         """
-        texture = self._textures.texture(info.integer("index"))
-        if isinstance(texture, str):
-            return texture
-        image, sampler = texture
+        texture = self._document.entry("textures", info.integer("index"))
+        source = texture.index("source")
+        if source is None and (webp := texture.extension("EXT_texture_webp")) is not None:
+            source = webp.index("source")
+        if source is None:
+            raise texture.error("has no PNG, JPEG or WebP image; export it with one")
+        item = self._document.entry("images", source)
+        if self._document.is_missing(item):
+            return item.string("uri", "")
+        image = self._images.decoded(source, lambda: self._bytes(item), item.where, _FORMATS)
         levels = np.repeat((_DECODED if encoded else _LINEAR)[:, None], len(channels), axis=1)
-        first = "RGBA".index(channels)
-        transform = uv_transform(info)
-        return Map(levels, image, first, None, sampler, transform, info.where)
+        first, sampler = "RGBA".index(channels), self._sampler(texture)
+        return Map(levels, image, first, None, sampler, uv_transform(info), info.where)
+
+    def _sampler(self, texture: Item) -> Sampler:
+        index = texture.index("sampler")
+        if index is None:
+            return Sampler()
+        item = self._document.entry("samplers", index)
+        along_u, along_v = item.integer("wrapS", 10497), item.integer("wrapT", 10497)
+        if along_u not in _WRAPS or along_v not in _WRAPS:
+            raise item.error(f"has wrap modes {along_u} and {along_v}; expected {sorted(_WRAPS)}")
+        nearest = item.integer("magFilter", 9729) == _NEAREST
+        return Sampler((_WRAPS[along_u], _WRAPS[along_v]), nearest)
+
+    def _bytes(self, item: Item) -> bytes:
+        view = item.index("bufferView")
+        return (
+            self._document.resource(item) if view is None else bytes(self._document.view(view)[0])
+        )
 
     def combined(self, function: Callable[..., Array], *maps: Map) -> tuple[Map, bool]:
         """A function of several maps [H, W, C], point by point, and whether the result is exact.
@@ -249,36 +225,29 @@ class Textures:
 
     def colour(self, source: Map) -> RGB | Texture:
         """R, G and B in [0, 1]."""
-        if (flat := source.flat()) is not None:
-            red, green, blue = flat
-            return (red, green, blue)
-        return self._texture(
-            source, lambda values: _bytes(srgb_from_linear(values)), np.uint8, True
+        return _flat_rgb(source) or self._texture(
+            source, lambda values: _bytes(srgb_from_linear(values)), np.uint8, encoded=True
         )
 
     def radiance(self, source: Map) -> RGB | Texture:
         """R, G and B, at least 0 and without an upper limit."""
-        if (flat := source.flat()) is not None:
-            red, green, blue = flat
-            return (red, green, blue)
-        return self._texture(source, lambda values: values, np.float32, False)
+        return _flat_rgb(source) or self._texture(source, lambda values: values, np.float32)
 
     def value(self, source: Map) -> float | Texture:
         """One channel of linear data."""
-        if (flat := source.flat()) is not None:
-            return flat[0]
-        return self._texture(source, _bytes, np.uint8, False)
+        flat = source.flat()
+        return flat[0] if flat is not None else self.data(source)
 
     def data(self, source: Map) -> Texture:
-        """Three channels of linear data, as a texture even where they are constant."""
-        return self._texture(source, _bytes, np.uint8, False)
+        """Linear data, as a texture even where they are constant."""
+        return self._texture(source, _bytes, np.uint8)
 
     def _texture(
         self,
         source: Map,
         convert: Callable[[Array], NDArray],
         dtype: type[np.uint8] | type[np.float32],
-        encoded: bool,
+        encoded: bool = False,
     ) -> Texture:
         """Texture of a function of each value alone."""
         size = int(np.prod(source.shape)) * np.dtype(dtype).itemsize
@@ -292,12 +261,17 @@ class Textures:
             pixels = self._images.made(
                 key, size, source.where, lambda: self._shared(looked_up(table, source.codes))
             )
-        sampler = source.sampler or Sampler(("repeat", "repeat"), False)
+        sampler = source.sampler or Sampler()
         return Texture(pixels, encoded, sampler.wrap[0], sampler.nearest, source.uv_transform)
 
     def _shared(self, pixels: NDArray) -> NDArray:
         key = (pixels.shape, pixels.dtype.name, hashlib.sha256(pixels.data).digest())
         return self._pixels.setdefault(key, pixels)
+
+
+def _flat_rgb(source: Map) -> RGB | None:
+    flat = source.flat()
+    return None if flat is None else (flat[0], flat[1], flat[2])
 
 
 def uv_transform(info: Item) -> Floats:
@@ -374,10 +348,12 @@ class Layers:
         texture = self.texture(parent, f"{name}Texture", "RGB", encoded=True)
         return constant(*values) if texture is None else texture.scaled(*values)
 
-    def value(self, parent: Item, name: str, default: float, channel: str, texture: str) -> Map:
-        """`name`, in [0, 1], times one channel of the linear texture called `texture`."""
-        factor = parent.number(name, default, 0.0, 1.0)
-        found = self.texture(parent, texture, channel)
+    def value(
+        self, parent: Item, name: str, default: float, channel: str, texture: str = ""
+    ) -> Map:
+        """`nameFactor`, in [0, 1], times one channel of the linear `nameTexture`, or `texture`."""
+        factor = parent.number(f"{name}Factor", default, 0.0, 1.0)
+        found = self.texture(parent, texture or f"{name}Texture", channel)
         return constant(factor) if found is None else found.scaled(factor)
 
     def combined(self, function: Callable[..., Array], *maps: Map) -> Map:

@@ -10,14 +10,12 @@ from lumitree.errors import shown
 from lumitree.lamp.importers.gltf_document import Document, Item, Notes
 from lumitree.lamp.importers.gltf_maps import (
     Array,
-    GltfImages,
     Layers,
     Map,
     Textures,
     constant,
     uv_transform,
 )
-from lumitree.lamp.importers.model_files import Images
 from lumitree.lamp.parts import (
     RGB,
     Diffuse,
@@ -52,8 +50,8 @@ def read_base(layers: Layers) -> Base:
     return Base(
         layers.colour(core, "baseColor", (1.0, 1.0, 1.0, 1.0)),
         _alpha(layers, core, "baseColor"),
-        layers.value(core, "metallicFactor", 1.0, "B", texture),
-        layers.value(core, "roughnessFactor", 1.0, "G", texture),
+        layers.value(core, "metallic", 1.0, "B", texture),
+        layers.value(core, "roughness", 1.0, "G", texture),
     )
 
 
@@ -73,7 +71,7 @@ def _from_specular_glossiness(layers: Layers, item: Item) -> Base:
     specular = constant(*item.numbers("specularFactor", (1.0, 1.0, 1.0), 0.0, 1.0))
     if (found := layers.texture(item, texture, "RGB", encoded=True)) is not None:
         specular = found.scaled(*specular.mean())
-    gloss = layers.value(item, "glossinessFactor", 1.0, "A", texture)
+    gloss = layers.value(item, "glossiness", 1.0, "A", texture)
     metallic = layers.combined(_metallic, diffuse, specular)
 
     def colour(diffuse: Array, specular: Array, metallic: Array) -> Array:
@@ -113,23 +111,22 @@ _MIN_IOR, _MAX_IOR, _MIN_ATTENUATION = 1.001, 10.0, 1e-4
 class Volume:
     """KHR_materials_volume: thickness in the mesh's unit, 0 for a sheet; absorption per metre."""
 
-    thickness: float
-    absorption: RGB
+    thickness: float = 0.0
+    absorption: RGB = (0.0, 0.0, 0.0)
 
 
 def read_volume(layers: Layers) -> Volume:
     """The volume of a material; without the extension, a thin sheet."""
     extension = layers.item.extension("KHR_materials_volume")
     if extension is None:
-        return Volume(0.0, (0.0, 0.0, 0.0))
+        return Volume()
     thickness = extension.number("thicknessFactor", 0.0, 0.0)
     colour = np.array(extension.numbers("attenuationColor", (1.0, 1.0, 1.0), 0.0, 1.0))
-    absorption = (0.0, 0.0, 0.0)
-    if "attenuationDistance" in extension:
-        distance = extension.number("attenuationDistance", 1.0, 1e-9)
-        red, green, blue = (-np.log(np.maximum(colour, _MIN_ATTENUATION)) / distance + 0.0).tolist()
-        absorption = (red, green, blue)
-    return Volume(thickness, absorption)
+    if "attenuationDistance" not in extension:
+        return Volume(thickness)
+    distance = extension.number("attenuationDistance", 1.0, 1e-9)
+    red, green, blue = (-np.log(np.maximum(colour, _MIN_ATTENUATION)) / distance + 0.0).tolist()
+    return Volume(thickness, (red, green, blue))
 
 
 def read_surface(
@@ -144,7 +141,10 @@ def read_surface(
     if layers.item.extension("KHR_materials_unlit") is not None:
         layers.note("unlit (a diffuse reflector)")
         return Diffuse(textures.colour(base.colour))
-    transmission = _transmission(layers)
+    extension = layers.item.extension("KHR_materials_transmission")
+    transmission = constant(0.0)
+    if extension is not None:
+        transmission = layers.value(extension, "transmission", 0.0, "R")
     through = not transmission.black()
     scattered = _diffuse_transmission(layers, solid)
     volume = read_volume(layers)
@@ -167,15 +167,14 @@ def read_surface(
 
 
 def _glass(layers: Layers, base: Base, volume: Volume, solid: bool, thickness: float) -> Glass:
-    coats = {"clear coat": _clearcoat(layers)[0], "sheen": _sheen(layers)}
-    for name in (name for name, coat in coats.items() if not coat.black()):
-        layers.note(f"{name} of clear glass (left out)")
+    for name, coat in (("clear coat", _clearcoat(layers)[0]), ("sheen", _sheen(layers))):
+        if not coat.black():
+            layers.note(f"{name} of clear glass (left out)")
     roughness = base.roughness.mean()[0]
-    roughness = 0.0 if roughness <= SMOOTH else roughness
     ior = _reflection(layers, transmits=True)[0]
     if solid:
-        absorbing = any(volume.absorption)
-        medium = Medium(volume.absorption) if absorbing else None
+        roughness = 0.0 if roughness <= SMOOTH else roughness
+        medium = Medium(volume.absorption) if any(volume.absorption) else None
         red, green, blue = np.sqrt(base.colour.mean()).tolist()
         return Glass(ior, roughness, (red, green, blue), medium=medium)
     red, green, blue = _absorbed(layers, base, volume, thickness).colour.mean()
@@ -218,20 +217,13 @@ def _absorbed(layers: Layers, base: Base, volume: Volume, thickness: float) -> B
     return dataclasses.replace(base, colour=base.colour.scaled(*left))
 
 
-def _transmission(layers: Layers) -> Map:
-    extension = layers.item.extension("KHR_materials_transmission")
-    if extension is None:
-        return constant(0.0)
-    return layers.value(extension, "transmissionFactor", 0.0, "R", "transmissionTexture")
-
-
 def _diffuse_transmission(layers: Layers, solid: bool) -> float:
     """Share of the diffuse light that leaves on the other side of a thin sheet."""
     extension = layers.item.extension("KHR_materials_diffuse_transmission")
     if extension is None:
         return 0.0
     name = "diffuseTransmission"
-    share = layers.value(extension, f"{name}Factor", 0.0, "A", f"{name}Texture")
+    share = layers.value(extension, name, 0.0, "A")
     if share.black():
         return 0.0
     if solid:
@@ -254,7 +246,7 @@ def _reflection(layers: Layers, transmits: bool) -> tuple[float, Map]:
     if transmits and specular is not None:
         layers.note("specular factors (light is refracted by the ior alone)")
     elif specular is not None:
-        factor = layers.value(specular, "specularFactor", 1.0, "A", "specularTexture")
+        factor = layers.value(specular, "specular", 1.0, "A")
         colour = layers.colour(specular, "specularColor", (1.0, 1.0, 1.0), np.inf)
         tint = layers.single(colour, "texture of the specular colour")
         if max(tint) > min(tint):
@@ -278,12 +270,10 @@ def _clearcoat(layers: Layers) -> tuple[Map, float]:
     extension = layers.item.extension("KHR_materials_clearcoat")
     if extension is None:
         return constant(0.0), 0.0
-    coat = layers.value(extension, "clearcoatFactor", 0.0, "R", "clearcoatTexture")
+    coat = layers.value(extension, "clearcoat", 0.0, "R")
     if coat.black():
         return coat, 0.0
-    rough = layers.value(
-        extension, "clearcoatRoughnessFactor", 0.0, "G", "clearcoatRoughnessTexture"
-    )
+    rough = layers.value(extension, "clearcoatRoughness", 0.0, "G")
     own = extension.item("clearcoatNormalTexture").index("index")
     if own != layers.item.item("normalTexture").index("index"):
         layers.note("normals of the clear coat (the material's are used)")
@@ -335,14 +325,6 @@ def _anisotropy(layers: Layers, roughness: Map) -> tuple[Map, Map]:
     return result.channel(0), result.channel(1)
 
 
-def note_ignored(layers: Layers) -> None:
-    """Note the extensions that have no counterpart in the model."""
-    for name, key in (("iridescence", "iridescenceFactor"), ("dispersion", "dispersion")):
-        extension = layers.item.extension(f"KHR_materials_{name}")
-        if extension is not None and extension.number(key, 0.0, 0.0) > 0:
-            layers.note(f"{name} (left out)")
-
-
 @dataclasses.dataclass(frozen=True)
 class Use:
     """Properties of a mesh that the conversion of its material depends on.
@@ -367,8 +349,7 @@ class Materials:
 
     def __init__(self, document: Document, notes: Notes, names: Names) -> None:
         self._document, self._notes, self._names = document, notes, names
-        images = Images()
-        self._textures = Textures(images, GltfImages(document, images))
+        self._textures = Textures(document)
         self._layers: dict[int | None, Layers] = {}
         # Unique, also where a file has two materials of one name.
         self._titles = Names("_")
@@ -409,15 +390,17 @@ class Materials:
 
     def read(self, index: int | None, use: Use) -> tuple[Material, RGB | None]:
         """A material, and the factor of its mesh's vertex colours; None where it ignores them."""
-        key = (index, use)
-        if key not in self._read:
-            self._read[key] = self._convert(index, use)
-        return self._read[key]
+        if (index, use) not in self._read:
+            self._read[index, use] = self._convert(index, use)
+        return self._read[index, use]
 
     def _convert(self, index: int | None, use: Use) -> tuple[Material, RGB | None]:
         layers = self.layers(index)
         item = layers.item
-        note_ignored(layers)
+        for name, key in (("iridescence", "iridescenceFactor"), ("dispersion", "dispersion")):
+            extension = item.extension(f"KHR_materials_{name}")
+            if extension is not None and extension.number(key, 0.0, 0.0) > 0:
+                layers.note(f"{name} (left out)")
         base = read_base(layers)
         solid = use.closed and self.solid(index)
         thickness = read_volume(layers).thickness * use.scale
@@ -473,7 +456,6 @@ class Materials:
 
 
 def _painted(layers: Layers, surface: Surface, base: Base) -> tuple[Surface, RGB | None]:
-    """A surface with the mesh's vertex colours, and their factor."""
     if layers.item.string("alphaMode", "OPAQUE") != "OPAQUE":
         layers.note("opacity of the vertex colours")
     result = painted(surface) if base.colour.constant else None

@@ -49,7 +49,7 @@ class Accessors:
         return stored[:, 0].astype(np.int64)
 
     def count(self, index: int) -> int:
-        """Number of elements that the accessor states."""
+        """Number of elements that an accessor states."""
         return self._document.entry("accessors", index).integer("count", low=1)
 
     def _array(self, index: int, item: Item, lengths: tuple[int, ...]) -> NDArray[np.generic]:
@@ -98,7 +98,6 @@ class Accessors:
         return np.ndarray((count, length), dtype, data, start, (step, dtype.itemsize)).copy()
 
     def _with_sparse(self, sparse: Item, values: NDArray[np.generic]) -> NDArray[np.generic]:
-        """`values` with some of its elements replaced."""
         count = sparse.integer("count", low=1)
         if count > len(values):
             raise sparse.error(f"replaces {count} of {len(values)} elements")
