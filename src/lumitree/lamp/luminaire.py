@@ -21,9 +21,10 @@ from lumitree.core.packing import packed, unpacked
 from lumitree.core.turns import in_turn
 from lumitree.errors import LumitreeError, LumitreeWarning, shown, shown_names
 from lumitree.lamp.builtin import BUILTIN
-from lumitree.lamp.media import any_scatters
+from lumitree.lamp.media import any_scatters, media_of
 from lumitree.lamp.read_source import (
     Opened,
+    check_emitters,
     fingerprint_of,
     luminaire_source,
     named_files,
@@ -33,46 +34,6 @@ from lumitree.lamp.scene_file import SceneFile, scene_names
 from lumitree.lamp.scene_shapes import SceneShape, check_evaluates, shape_of_object
 from lumitree.lamp.scene_writer import model_shapes
 from lumitree.lamp.source import LuminaireSource, dataset_folder, gldf_variant, source_kind
-
-
-def origin_near(box: NDArray[np.float64], tolerance: float = 1) -> NDArray[np.float64]:
-    """[3] an origin near a box [2, 3], if its coordinates are too coarse in float32; else 0.
-
-    They may be `tolerance` times as coarse.
-    """
-    # Not even the size of a damaged lamp need be finite.
-    with np.errstate(over="ignore", invalid="ignore"):
-        size = tolerance * np.ptp(box, axis=0).max()
-    if not np.isfinite(box).all() or not is_far(box, size):
-        return np.zeros(3)
-    # Exact in float32, so that vertices of mesh files are moved exactly.
-    return box.mean(axis=0).astype(np.float32).astype(np.float64)
-
-
-def warn_of_far_meshes(
-    name: str,
-    size: float,
-    centre: NDArray[np.float64],
-    mesh_files: list[tuple[str, NDArray[np.float64]]],
-) -> None:
-    """Warn of mesh files with vertices so far from their own origin that float32 rounds them.
-
-    Size and centre are of the lamp's bounding box, in the frame of its scene, where the origins of
-    the files are too.
-    """
-    # A mesh is about where the lamp is.
-    reach = {file: place - centre for file, place in mesh_files}
-    far = [file for file, offset in reach.items() if is_far(offset, size)]
-    if far:
-        step = max(float32_step(reach[file]) for file in far)
-        warnings.warn(
-            f"{name}: vertices of {shown_names(far)} are so far from the origin of their file that "
-            f"Mitsuba rounds them to multiples of {step:.2g}, {step / size:.2%} of the lamp's "
-            "size; move the mesh to the origin of its file and place it by to_world",
-            LumitreeWarning,
-            stacklevel=4,
-        )
-
 
 if TYPE_CHECKING:
     from lumitree.lamp.emitting_surfaces import EmittingSurfaces
@@ -92,8 +53,8 @@ class Luminaire:
         bounding_radius: radius of the sphere around the centre of the bounding box that contains
             all geometry, local units.
         shapes: its shapes as the file names them, by which parts of it can be chosen.
-        file: the parsed file of `scene`, of which its shapes can be created again in another place;
-            None for a `mi.Scene`.
+        file: the parsed file of `scene`, which creates its shapes again in another place; None for
+            a `mi.Scene`.
         origin: [3] origin of the scene's coordinates, in the frame of the luminaire's file. It is
             (0, 0, 0), but for a lamp far from there, whose coordinates in float32 would be coarse.
     """
@@ -223,12 +184,10 @@ def load_luminaire(
 
 
 def _luminaire_of_source(luminaire: Opened) -> Luminaire:
-    """The luminaire of a name, a file or a dictionary."""
     source = luminaire_source(luminaire)
     file = open_scene_file(source)
     media = file.nodes("Medium")
     _check_media(str(file.path), {node.props.plugin_name() for node in media})
-    fingerprint = fingerprint_of(file, source)
     # Many files are called luminaire.xml, so the name includes the folder.
     path = Path(source.name)
     name = source.name if source.name in BUILTIN else f"{path.resolve().parent.name}/{path.stem}"
@@ -236,21 +195,51 @@ def _luminaire_of_source(luminaire: Opened) -> Luminaire:
         name = str(luminaire.get("id", "dictionary"))
     for note in file.notes:
         warnings.warn(f"{name}: {note}", LumitreeWarning, stacklevel=2)
-    shapes = file.shapes if file.path == Path(source.name) else model_shapes(file.shapes)
+    shapes = file.shapes if file.path == path else model_shapes(file.shapes)
     # Shapes that are much too small for their coordinates may not even be created.
-    origin = origin_near(file.analytic_box(), tolerance=100)
+    origin = _origin_near(file.analytic_box(), tolerance=100)
     placed = file.recentred(origin) if origin.any() else file
     scene = placed.instantiate()
-    corners = np.array([scene.bbox().min, scene.bbox().max], np.float64).reshape(2, 3)
-    offset = origin_near(corners)
+    offset = _origin_near(np.array([scene.bbox().min, scene.bbox().max], np.float64).reshape(2, 3))
     if offset.any():
         origin += offset
         placed = file.recentred(origin)
         scene = placed.instantiate()
+    fingerprint = fingerprint_of(file, source)
     loaded = _luminaire(name, fingerprint, scene, bool(media), shapes, placed, origin)
-    centre = loaded.scene_frame.centre
-    warn_of_far_meshes(name, float(loaded.size.max()), centre, placed.mesh_files())
+    _warn_of_far_meshes(loaded, placed)
     return loaded
+
+
+def _origin_near(box: NDArray[np.float64], tolerance: float = 1) -> NDArray[np.float64]:
+    """[3] an origin near a box [2, 3], if its coordinates are too coarse in float32; else 0.
+
+    They may be `tolerance` times as coarse.
+    """
+    # Not even the size of a damaged lamp need be finite.
+    with np.errstate(over="ignore", invalid="ignore"):
+        size = tolerance * np.ptp(box, axis=0).max()
+    if not np.isfinite(box).all() or not is_far(box, size):
+        return np.zeros(3)
+    # Exact in float32, so that vertices of mesh files are moved exactly.
+    return box.mean(axis=0).astype(np.float32).astype(np.float64)
+
+
+def _warn_of_far_meshes(luminaire: Luminaire, file: SceneFile) -> None:
+    """Warn of mesh files with vertices so far from their own origin that float32 rounds them."""
+    size, centre = float(luminaire.size.max()), luminaire.scene_frame.centre
+    # A mesh is about where the lamp is.
+    offsets = {name: place - centre for name, place in file.mesh_files()}
+    far = [name for name, offset in offsets.items() if is_far(offset, size)]
+    if far:
+        step = max(float32_step(offsets[name]) for name in far)
+        warnings.warn(
+            f"{luminaire.name}: vertices of {shown_names(far)} are so far from the origin of their "
+            f"file that Mitsuba rounds them to multiples of {step:.2g}, {step / size:.2%} of the "
+            "lamp's size; move the mesh to the origin of its file and place it by to_world",
+            LumitreeWarning,
+            stacklevel=4,
+        )
 
 
 def _luminaire(
@@ -259,11 +248,10 @@ def _luminaire(
     scene: Any,
     has_media: bool,
     shapes: tuple[SceneShape, ...],
-    file: SceneFile | None = None,
-    origin: NDArray[np.float64] | None = None,
+    file: SceneFile | None,
+    origin: NDArray[np.float64],
 ) -> Luminaire:
     check_evaluates(scene, shapes, name)
-    origin = np.zeros(3) if origin is None else origin
     frame = LocalFrame.of_box(np.ravel(scene.bbox().min), np.ravel(scene.bbox().max))
     return Luminaire(
         name=name,
@@ -281,39 +269,22 @@ def _luminaire(
 
 def _luminaire_of_scene(scene: Any) -> Luminaire:
     """The luminaire of a `mi.Scene`."""
-    what = "the scene"
-    if not scene.shapes():
-        raise LumitreeError(f"{what} holds no shapes; expected a luminaire's geometry")
-    if scene.environment() is not None or any(e.get_shape() is None for e in scene.emitters()):
-        raise LumitreeError(
-            f"{what} holds a light without a surface, which does not belong to a luminaire; remove "
-            "it, or replace it by a small shape with an area emitter"
-        )
-    if any(each.class_name() == "DirectionalArea" for each in scene.emitters()):
-        raise LumitreeError(
-            f"{what} holds a light that is invisible to cameras (directionalarea); replace it by a "
-            "small shape with an area emitter"
-        )
-    if not scene.emitters():
-        raise LumitreeError(f"{what} holds no emitter, so there is nothing to bake; add one")
-    media = {
-        medium.class_name()
-        for shape in scene.shapes()
-        for medium in (shape.interior_medium(), shape.exterior_medium())
-        if medium is not None
-    }
-    _check_media(what, {"homogeneous" if "Homogeneous" in name else name for name in media})
+    shapes = tuple(shape_of_object(*item) for item in enumerate(scene.shapes()))
+    loose = [each.class_name() for each in scene.emitters() if each.get_shape() is None]
+    check_emitters("the scene", shapes, loose, [each.class_name() for each in scene.emitters()])
+    media = {medium.class_name() for medium in media_of(scene.shapes())}
+    _check_media("the scene", {"homogeneous" if "Homogeneous" in name else name for name in media})
     digest = hashlib.sha256(repr(scene).encode())
     for key, value in load_mitsuba().traverse(scene):
         digest.update(key.encode())
         is_array = hasattr(value, "numpy")
         digest.update(np.array(value).tobytes() if is_array else repr(value).encode())
-    shapes = tuple(shape_of_object(*item) for item in enumerate(scene.shapes()))
-    luminaire = _luminaire("scene", digest.hexdigest(), scene, bool(media), shapes)
+    fingerprint = digest.hexdigest()
+    luminaire = _luminaire("scene", fingerprint, scene, bool(media), shapes, None, np.zeros(3))
     if luminaire.frame.is_far:
         step, size = float32_step(luminaire.frame.centre), luminaire.size.max()
         warnings.warn(
-            f"{what} is so far from its origin that its coordinates are rounded to multiples of "
+            "the scene is so far from its origin that its coordinates are rounded to multiples of "
             f"{step:.2g}, {step / size:.2%} of the lamp's size; move it to the origin, or give its "
             "file or its dictionary",
             LumitreeWarning,
@@ -324,10 +295,7 @@ def _luminaire_of_scene(scene: Any) -> Luminaire:
 
 def _check_media(what: str, kinds: set[str]) -> None:
     if kinds - {"homogeneous"}:
-        raise LumitreeError(
-            f"{what} holds a heterogeneous medium, whose straight-through opacity is not "
-            "supported; use homogeneous media"
-        )
+        raise LumitreeError(f"{what} has a heterogeneous medium; use homogeneous media")
 
 
 def _bounding_radius(scene: Any, frame: LocalFrame) -> float:
@@ -346,12 +314,7 @@ def _bounding_radius(scene: Any, frame: LocalFrame) -> float:
 
 @dataclasses.dataclass(frozen=True)
 class LampWorkers:
-    """Workers that load a luminaire.
-
-    Attributes:
-        executor: of the workers.
-        luminaire: for `received_luminaire`.
-    """
+    """An executor of workers, and the luminaire that they load by `received_luminaire`."""
 
     executor: Executor
     luminaire: bytes
@@ -384,8 +347,6 @@ def received_luminaire(data: bytes) -> Luminaire:
         LumitreeError: its files differ from the files of the process that sent it.
     """
     source, fingerprint = unpacked(data)
-    from lumitree.lamp.luminaire import load_luminaire
-
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", LumitreeWarning)
         luminaire = load_luminaire(source)

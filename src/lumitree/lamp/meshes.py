@@ -32,6 +32,11 @@ class Mesh:
     uv: Floats | None = None
     colours: Floats | None = None
 
+    def taken(self, vertices: NDArray[np.int64], faces: NDArray[np.int64]) -> "Mesh":
+        """The vertices with these indices, and faces [F, 3] of them."""
+        uv, colours = (None if v is None else v[vertices] for v in (self.uv, self.colours))
+        return Mesh(self.vertices[vertices], self.normals[vertices], faces, uv, colours)
+
 
 def join(meshes: Iterable[Mesh]) -> Mesh:
     """All the meshes as one, without texture coordinates; vertices are not merged."""
@@ -221,13 +226,7 @@ def skin(rings: Floats, normals: Floats, joined: NDArray[np.bool_]) -> Mesh:
 def selected(mesh: Mesh, keep: NDArray[np.bool_]) -> Mesh:
     """The faces that `keep` [F] marks, with the vertices they use."""
     used, faces = np.unique(mesh.faces[keep], return_inverse=True)
-    return Mesh(
-        mesh.vertices[used],
-        mesh.normals[used],
-        faces.reshape(-1, 3),
-        None if mesh.uv is None else mesh.uv[used],
-        None if mesh.colours is None else mesh.colours[used],
-    )
+    return mesh.taken(used, faces.reshape(-1, 3))
 
 
 def with_backs(mesh: Mesh, doubled: NDArray[np.bool_], distance: float) -> Mesh:
@@ -236,20 +235,13 @@ def with_backs(mesh: Mesh, doubled: NDArray[np.bool_], distance: float) -> Mesh:
     A surface emits from its front alone; with its copy it emits from both sides. With two faces in
     one place a ray would hit either, so the copy lies behind by a distance in the mesh's unit.
     """
-    back = selected(mesh, doubled)
-    vertices = back.vertices - distance * back.normals
-    back = dataclasses.replace(
-        back, vertices=vertices, normals=-back.normals, faces=back.faces[:, ::-1]
-    )
-    return Mesh(
-        np.concatenate([mesh.vertices, back.vertices]),
-        np.concatenate([mesh.normals, back.normals]),
-        np.concatenate([mesh.faces, back.faces + len(mesh.vertices)]),
-        None if mesh.uv is None or back.uv is None else np.concatenate([mesh.uv, back.uv]),
-        None
-        if mesh.colours is None or back.colours is None
-        else np.concatenate([mesh.colours, back.colours]),
-    )
+    used, faces = np.unique(mesh.faces[doubled], return_inverse=True)
+    count = len(mesh.vertices)
+    faces = np.concatenate([mesh.faces, faces.reshape(-1, 3)[:, ::-1] + count])
+    both = mesh.taken(np.concatenate([np.arange(count), used]), faces)
+    both.vertices[count:] -= distance * both.normals[count:]
+    both.normals[count:] *= -1
+    return both
 
 
 def by_handedness(mesh: Mesh, bumpy: bool) -> Iterator[tuple[Mesh, bool]]:

@@ -7,7 +7,7 @@ materials are unique, and patterns choose by them.
 
 import dataclasses
 import fnmatch
-import re
+import functools
 from collections.abc import Sequence
 from typing import Literal
 
@@ -43,6 +43,13 @@ class Texture:
     wrap: Literal["repeat", "mirror", "clamp"] = "repeat"
     nearest: bool = False
     uv_transform: Floats = dataclasses.field(default_factory=lambda: np.eye(3))
+
+    def linear(self) -> NDArray[np.float32]:
+        """Linear values [H, W, C]."""
+        if self.pixels.dtype != np.uint8:
+            return self.pixels.astype(np.float32, copy=False)
+        pixels = self.pixels / np.float32(255)
+        return linear_from_srgb(pixels) if self.encoded else pixels
 
 
 @dataclasses.dataclass(frozen=True)
@@ -206,8 +213,8 @@ class Part:
         mesh: in the part's own frame.
         material: name of a material.
         places: `world_from_part` [4, 4] of every copy.
-        objects: of every copy, the name of the object in the model's file; () where objects have no
-            names but that of the part.
+        objects: of every copy, the name of the object in the model's file; () where objects have
+            the name of the part.
         in_metres: whether the mesh is in metres, whatever the unit of the model is.
     """
 
@@ -220,10 +227,13 @@ class Part:
 
     def copies(self, index: Sequence[int]) -> "Part":
         """The part with some of its copies."""
-        places, objects = (
-            tuple(each[i] for i in index if each) for each in (self.places, self.objects)
-        )
+        places, objects = (tuple(v[i] for i in index if v) for v in (self.places, self.objects))
         return dataclasses.replace(self, places=places, objects=objects)
+
+    def placed(self, copy: int) -> Floats:
+        """Vertices [V, 3] of a copy, in the model's frame."""
+        place = self.places[copy]
+        return self.mesh.vertices @ place[:3, :3].T + place[:3, 3]
 
 
 def check_shapes(count: int, where: str) -> None:
@@ -241,6 +251,14 @@ class Geometry:
 
     parts: tuple[Part, ...]
     materials: tuple[Material, ...]
+
+    def material(self, part: Part) -> Material:
+        """The material of a part."""
+        return self._materials[part.material]
+
+    @functools.cached_property
+    def _materials(self) -> dict[str, Material]:
+        return {material.name: material for material in self.materials}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -260,45 +278,29 @@ class Figures:
 
 def figures(model: Geometry) -> Figures:
     """The figures of a lamp."""
-    materials = {material.name: material for material in model.materials}
-    emitting = [part for part in model.parts if materials[part.material].radiance is not None]
-    boxes = np.array([_box(part, place) for part in model.parts for place in part.places])
-    size = boxes[:, 1].max(axis=0) - boxes[:, 0].min(axis=0)
+    emitting = [part for part in model.parts if model.material(part).radiance is not None]
+    points = [part.placed(copy) for part in model.parts for copy in range(len(part.places))]
+    sides = np.max([p.max(axis=0) for p in points], axis=0)
+    sides -= np.min([p.min(axis=0) for p in points], axis=0)
+    surfaces = [model.material(part).surface for part in model.parts]
     return Figures(
         triangles=sum(len(part.mesh.faces) * len(part.places) for part in model.parts),
         emitters=sum(len(part.places) for part in emitting),
         emitted_radiance=max(
-            (_largest(materials[part.material].radiance, part) for part in emitting), default=0.0
+            (_largest(model.material(part).radiance, part.mesh) for part in emitting), default=0.0
         ),
-        size=(float(size[0]), float(size[1]), float(size[2])),
-        has_media=any(_has_medium(materials[part.material]) for part in model.parts),
+        size=(float(sides[0]), float(sides[1]), float(sides[2])),
+        has_media=any(isinstance(each, Glass) and each.medium is not None for each in surfaces),
     )
 
 
-def _box(part: Part, place: Floats) -> tuple[Floats, Floats]:
-    points = part.mesh.vertices @ place[:3, :3].T + place[:3, 3]
-    return points.min(axis=0), points.max(axis=0)
-
-
-def _largest(radiance: Colour | None, part: Part) -> float:
-    """The largest channel of a radiance on a part."""
+def _largest(radiance: Colour | None, mesh: Mesh) -> float:
+    """The largest channel of a radiance on a mesh."""
     if isinstance(radiance, Texture):
-        value = float(radiance.pixels.max())
-        if radiance.pixels.dtype != np.uint8:
-            return value
-        value /= 255
-        return float(linear_from_srgb(value)) if radiance.encoded else value
+        return float(radiance.linear().max())
     if isinstance(radiance, VertexColour):
-        return 0.0 if part.mesh.colours is None else float(part.mesh.colours.max())
+        return 0.0 if mesh.colours is None else float(mesh.colours.max())
     return max(radiance or (0.0,))
-
-
-def _has_medium(material: Material) -> bool:
-    return isinstance(material.surface, Glass) and material.surface.medium is not None
-
-
-# A pattern of digits alone; a name of this form is matched by "[#]3".
-_NUMBER = re.compile(r"#[0-9]{1,9}")
 
 
 class Names:

@@ -8,7 +8,7 @@ import functools
 import hashlib
 import importlib
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,8 @@ from lumitree.lamp.importers.overrides import (
     sided_materials,
 )
 from lumitree.lamp.parts import Geometry
-from lumitree.lamp.scene_file import SceneFile, refuse_kind, scene_names
+from lumitree.lamp.scene_file import SceneFile, refuse_kind
+from lumitree.lamp.scene_shapes import SceneShape
 from lumitree.lamp.scene_writer import write_scene
 from lumitree.lamp.source import (
     LuminaireSource,
@@ -88,7 +89,6 @@ def overrides_path(source: LuminaireSource) -> Path | None:
     return beside if os.path.isfile(beside) else None
 
 
-_ENVIRONMENTS = ("constant", "envmap", "sky", "sunsky", "directional")
 _MAX_FILE_BYTES = 2**40
 # Sources that have no shapes to load.
 _NOT_LUMINAIRES: dict[str, str] = {
@@ -96,8 +96,6 @@ _NOT_LUMINAIRES: dict[str, str] = {
     "photometric": "a photometric file, which has no shapes and is used as an asset",
     "dataset": "a dataset",
 }
-# Of a shape, but in one direction only.
-_INVISIBLE = ("directionalarea",)
 
 
 # A version of a file: its path, time, size and inode.
@@ -147,10 +145,10 @@ class _DictionarySource(LuminaireSource):
 def open_scene_file(source: LuminaireSource) -> SceneFile:
     """The parsed and checked scene of a source; its patterns are applied if its file is a scene."""
     path, folder = scene_path(source)
-    own = path == Path(source.name)
-    patterns = (source.keep, source.drop) if own else ((), ())
+    patterns = (source.keep, source.drop) if path == Path(source.name) else ((), ())
     file = SceneFile(path, *patterns, folder=folder)
-    _check_emitters(file)
+    kinds = [node.props.plugin_name() for node in file.nodes("Emitter")]
+    check_emitters(str(file.path), file.shapes, file.loose_lights(), kinds)
     for node in file.nodes("Emitter"):
         # All emitters of a lamp count; the weight is for scenes.
         if "sampling_weight" in node.props:
@@ -158,46 +156,37 @@ def open_scene_file(source: LuminaireSource) -> SceneFile:
     return file
 
 
-def _check_emitters(file: SceneFile) -> None:
-    if not file.nodes("Shape"):
-        raise LumitreeError(f"{file.path} holds no shapes; expected a luminaire's geometry")
-    kinds = [node.props.plugin_name() for node in file.nodes("Emitter")]
-    loose = file.loose_lights()
-    environments = [kind for kind in loose if kind in _ENVIRONMENTS]
-    invisible = [kind for kind in kinds if kind in loose or kind in _INVISIBLE]
-    if environments:
-        raise LumitreeError(
-            f"{file.path} holds an environment light ({environments[0]}), which does not belong "
-            "to a luminaire; remove it from the file, or --keep only the lamp's shapes: "
-            f"{shown_names(map(str, file.shapes))}"
-        )
-    if "area" in loose:
-        raise LumitreeError(
-            f"{file.path} holds an area emitter outside of a shape, which emits nothing; move it "
-            "into the <shape> that emits, or remove it"
-        )
+def check_emitters(
+    what: str, shapes: Sequence[SceneShape], loose: Sequence[str], kinds: Sequence[str]
+) -> None:
+    """Refuse a scene without shapes or emitters, or with emitters that are no visible surfaces.
+
+    `loose` are plugins or classes of the emitters without a shape, `kinds` of all emitters.
+    """
+    if not shapes:
+        raise LumitreeError(f"{what} has no shapes; expected a luminaire's geometry")
+    invisible = [*loose, *(kind for kind in kinds if kind.lower() == "directionalarea")]
     if invisible:
         raise LumitreeError(
-            f"{file.path} holds a light without a surface ({invisible[0]}), which is invisible to "
-            "cameras; replace it by a small shape with an area emitter"
+            f"{what} has a light without a surface, or that cameras do not see ({invisible[0]}); "
+            "remove it, replace it by a small shape with an area emitter, or --keep only the "
+            f"lamp's shapes: {shown_names(map(str, shapes))}"
         )
     if not kinds:
         raise LumitreeError(
-            f"{file.path} holds no emitter, so there is nothing to bake; give a shape an "
+            f"{what} has no emitter, so there is nothing to bake; give a shape an "
             '<emitter type="area">'
         )
 
 
 def fingerprint_of(file: SceneFile, source: LuminaireSource) -> str:
     """SHA-256 of the scene and its files, which include the overrides and selection of a model."""
-    digest = hashlib.sha256(read_bytes(file.path, "a Mitsuba scene", MAX_MODEL_BYTES))
+    content = read_bytes(file.path, "a Mitsuba scene", MAX_MODEL_BYTES)
+    digest = hashlib.sha256(content)
     if file.path == Path(source.name) and (source.keep or source.drop):
         digest.update(repr((source.keep, source.drop)).encode())
-    names = scene_names(file.path)
-    for path in names.included:
-        digest.update(read_bytes(path, "a Mitsuba scene", MAX_MODEL_BYTES))
-    if not names.complete:
-        # Other parts may be included by parameters, or from other folders.
+    # In UTF-16 every other byte is 0.
+    if b"include" in content.replace(b"\0", b""):
         digest.update(file.parsed_text().encode())
     for spectrum in file.listed_spectra():
         digest.update(spectrum.tobytes())
@@ -210,8 +199,8 @@ def fingerprint_of(file: SceneFile, source: LuminaireSource) -> str:
 def scene_path(source: LuminaireSource) -> tuple[Path, ScratchFolder | None]:
     """Path of the Mitsuba scene file of a luminaire, and its folder if that is a temporary one.
 
-    Built-in luminaires and models are written to a temporary folder. A model is written again when
-    the model or its overrides have changed.
+    Built-in luminaires and models are written to a temporary folder, and again when a file has
+    changed.
     """
     path = Path(source.name)
     builtin = source.name in BUILTIN

@@ -10,8 +10,6 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-import numpy as np
-
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.mitsuba_meshes import NORMALS, VERTICES
 from lumitree.errors import LumitreeError, LumitreeWarning, renderer_reason, shown
@@ -136,7 +134,6 @@ def build_again(groups: Sequence[Any]) -> None:
 
 
 def _children(parent: Any) -> list[Any]:
-    """The objects that an object of Mitsuba holds."""
     mi = load_mitsuba()
     children = []
 
@@ -163,7 +160,6 @@ def shapes_of_scene(scene: Any, shapes: Sequence[SceneShape]) -> Sequence[SceneS
 
 
 def _described(file: Any, node: Any) -> str:
-    """Plugin of a BSDF or an emitter, and of the textures that it names."""
     textures = [
         child.props.plugin_name()
         for child in file.children(node.props).values()
@@ -194,13 +190,11 @@ def check_evaluates(
         bsdf, emitter = shape.bsdf(), shape.emitter()
         if bsdf is not None and id(bsdf) not in tried:
             what = f"the BSDF of shape {names.label}, {names.bsdf or bsdf.class_name()},"
-            _check_finite(bsdf, f"{where}: {what}")
             _try(_bsdf_calls(bsdf, shape), f"{where}: {what}")
             # Kept: another object could get the number of one that is freed.
             tried[id(bsdf)] = bsdf
         if emitter is not None:
             what = f"the emitter of shape {names.label}, {names.emitter or emitter.class_name()},"
-            _check_finite(emitter, f"{where}: {what}")
             _try(_emitter_calls(emitter, shape, rays), f"{where}: {what}")
         for name in names.attributes:
             if not all(shape.has_attribute(name)):
@@ -213,24 +207,7 @@ def check_evaluates(
     for emitter in scene.emitters():
         if emitter.get_shape() is None:
             what = f"{where}: the emitter {emitter.id() or emitter.class_name()}"
-            _check_finite(emitter, what)
             _try(_emitter_calls(emitter, None, False), what)
-
-
-def _check_finite(plugin: Any, what: str) -> None:
-    """Refuse a plugin with pixels or colours that are not finite."""
-    params = load_mitsuba().traverse(plugin)
-    for key in params.keys():  # noqa: SIM118, it is no dictionary
-        # Others may have no value that could be read.
-        if key.rpartition(".")[2] not in ("data", "value"):
-            continue
-        values = np.asarray(params[key])
-        wrong = values.size - np.count_nonzero(np.isfinite(values))
-        if wrong:
-            raise LumitreeError(
-                f"{what} has {wrong:,} of {values.size:,} values in {shown(repr(key), 100)} that "
-                "are not finite numbers, nor would images be: replace the image or the colour"
-            )
 
 
 def _try(calls: Iterator[Callable[[], Any]], what: str) -> None:

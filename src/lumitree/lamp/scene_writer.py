@@ -18,7 +18,7 @@ from lumitree.asset.textures import Json
 from lumitree.core.backend import load_mitsuba, second_thread
 from lumitree.core.files import atomic_path
 from lumitree.core.frames import is_far, similarity
-from lumitree.core.images import linear_from_srgb, resized
+from lumitree.core.images import resized
 from lumitree.core.mitsuba_meshes import VERTEX_COLOUR, make_mesh
 from lumitree.core.system import accepts_name
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
@@ -111,13 +111,9 @@ def _key(value: RGB | Value) -> Hashable:
 
 
 def _linear(value: RGB | Value) -> Any:
-    """Linear values [H, W, C]; [1, 1, C] of what is constant."""
     if not isinstance(value, Texture):
         return np.reshape(value, (1, 1, -1))
-    if value.pixels.dtype != np.uint8:
-        return value.pixels
-    pixels = value.pixels / np.float32(255)
-    return linear_from_srgb(pixels) if value.encoded else pixels
+    return value.linear()
 
 
 def _enlarged(values: Any, height: int, width: int) -> Any:
@@ -151,6 +147,17 @@ _PREFIX = "material_"
 # Roughness below which a surface is smooth: the geometry of an asset has no smaller alpha than its
 # square.
 _SMOOTH = 0.01
+
+
+# Parameters of the BSDF that are a number or a texture, and the attributes of `Principled`.
+_PRINCIPLED = {
+    **{name: name for name in ("metallic", "roughness")},
+    "anisotropic": "anisotropy",
+    "eta": "ior",
+    **{name: name for name in ("specular", "sheen", "clearcoat", "clearcoat_roughness")},
+    "spec_trans": "transmission",
+    "diff_trans": "diffuse_transmission",
+}
 
 
 def write_scene(model: Geometry, folder: str | os.PathLike[str]) -> Path:
@@ -282,16 +289,8 @@ class _Writer:
     def _principled(self, parent: Element, surface: Principled, name: dict[str, str]) -> None:
         bsdf = SubElement(parent, "bsdf", {"type": METALLIC_ROUGHNESS, **name})
         self._colour(bsdf, "base_color", surface.base_color)
-        self._value(bsdf, "metallic", surface.metallic)
-        self._value(bsdf, "roughness", surface.roughness)
-        self._value(bsdf, "anisotropic", surface.anisotropy)
-        self._value(bsdf, "eta", surface.ior)
-        self._value(bsdf, "specular", surface.specular)
-        self._value(bsdf, "sheen", surface.sheen)
-        self._value(bsdf, "clearcoat", surface.clearcoat)
-        self._value(bsdf, "clearcoat_roughness", surface.clearcoat_roughness)
-        self._value(bsdf, "spec_trans", surface.transmission)
-        self._value(bsdf, "diff_trans", surface.diffuse_transmission)
+        for parameter, attribute in _PRINCIPLED.items():
+            self._value(bsdf, parameter, getattr(surface, attribute))
         _add(bsdf, "boolean", "thin", "true" if surface.thin else "false")
 
     def _colour(self, parent: Element, name: str, colour: Colour) -> None:
@@ -322,7 +321,6 @@ class _Writer:
         _transform(element, "to_uv", matrix)
 
     def _image(self, texture: Texture) -> str:
-        """File of the texture's pixels, written at the first use."""
         mi = load_mitsuba()
         key = id(texture.pixels)
         if key not in self._textures:

@@ -59,7 +59,6 @@ def _replaced(file: Any, emitter: Any) -> Iterator[str]:
 
 
 def _radiance_property(radiance: RGB, body: tuple[float, float, float]) -> Any:
-    """A property of an emitter: RGB, or in spectral variants the spectrum with this luminance."""
     mi = load_mitsuba()
     if not mi.is_spectral:
         return mi.ScalarColor3d(radiance)
@@ -105,7 +104,6 @@ def spectra_of_emitters(file: Any) -> dict[str, Samples]:
 
 
 def _samples(file: Any, emitter: Any) -> Samples | None:
-    """The spectrum of an emitter's radiance; None if it has none."""
     held = file.children(emitter).get("radiance")
     if held is None:
         return _listed(emitter, "radiance")
@@ -115,7 +113,6 @@ def _samples(file: Any, emitter: Any) -> Samples | None:
 
 
 def _listed(props: Any, name: str) -> Samples | None:
-    """A property that is a list of wavelengths and values, or a constant spectrum."""
     if name not in props:
         return None
     if props.type(name) != load_mitsuba().Properties.Type.Spectrum:

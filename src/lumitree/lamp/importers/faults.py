@@ -13,7 +13,6 @@ from collections.abc import Collection, Iterator, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lumitree.core.images import linear_from_srgb
 from lumitree.core.photometry import LUMENS_PER_WATT
 from lumitree.errors import LumitreeWarning, shown
 from lumitree.lamp.importers.overrides import Overrides, setting
@@ -75,14 +74,13 @@ def without_repeated(model: Geometry, sided: Collection[str], file: str) -> Geom
 
     `sided` are the titles of the materials whose two sides differ, such as those that emit.
     """
-    title = {material.name: material.title for material in model.materials}
     copies: dict[str, list[tuple[Part, int]]] = defaultdict(list)
     for part in model.parts:
-        copies[title[part.material]] += [(part, at) for at in range(len(part.places))]
+        copies[model.material(part).title] += [(part, at) for at in range(len(part.places))]
     used: dict[tuple[str, int], tuple[NDArray[np.bool_], NDArray[np.bool_]]] = {}
     within, dropped = {}, 0
     for name, own in copies.items():
-        placed = [_placed(part, at) for part, at in own]
+        placed = [(part.placed(at), part.mesh.faces) for part, at in own]
         within[name] = reach(np.concatenate([vertices for vertices, _ in placed]))
         twice = _repeated_surfaces(placed, within[name], name in sided)
         single = [copy[0][copy[1]] for copy, again in zip(placed, twice, strict=True) if not again]
@@ -107,18 +105,12 @@ def without_repeated(model: Geometry, sided: Collection[str], file: str) -> Geom
             keep, both = used[part.name, places[0]]
             if keep.any():
                 scale = np.cbrt(abs(np.linalg.det(part.places[places[0]][:3, :3])))
-                mesh = with_reversed(part.mesh, both, within[title[part.material]] / scale)
+                mesh = with_reversed(part.mesh, both, within[model.material(part).title] / scale)
                 if not keep.all():
                     mesh = selected(mesh, np.concatenate([keep, np.ones(both.sum(), np.bool_)]))
                 parts.append(dataclasses.replace(part.copies(places), name=name, mesh=mesh))
                 name = names.unique(part.name)
     return dataclasses.replace(model, parts=tuple(parts))
-
-
-def _placed(part: Part, at: int) -> tuple[Floats, Indices]:
-    """Vertices [V, 3] of a copy, in the model's frame, and its faces."""
-    place = part.places[at]
-    return part.mesh.vertices @ place[:3, :3].T + place[:3, 3], part.mesh.faces
 
 
 def _repeated_surfaces(
@@ -129,10 +121,8 @@ def _repeated_surfaces(
     An example is a sphere and its mirror image, whose quads have the other diagonal.
     """
     # Boxes, whose corners are in the same places.
-    low, high = (
-        weld(np.stack([end(vertices, axis=0) for vertices, _ in copies]), within)
-        for end in (np.min, np.max)
-    )
+    low = weld(np.stack([vertices.min(axis=0) for vertices, _ in copies]), within)
+    high = weld(np.stack([vertices.max(axis=0) for vertices, _ in copies]), within)
     earlier: dict[tuple[int, int], list[int]] = defaultdict(list)
     repeated = []
     for at, (copy, *box) in enumerate(zip(copies, low.tolist(), high.tolist(), strict=True)):
@@ -200,30 +190,23 @@ def _two_units(model: Geometry, overrides: Overrides) -> Iterator[tuple[str, str
 
 def _thin_bodies(model: Geometry, overrides: Overrides) -> Iterator[tuple[str, str]]:
     """Closed bodies of glass that is thin for want of a volume, as Blender writes it."""
-    materials = {material.name: material for material in model.materials}
     copies = [
-        (
-            part.name,
-            at,
-            materials[part.material].title,
-            probes(_in_place(part.mesh.vertices, place)),
-        )
+        (part.name, at, model.material(part).title, probes(part.placed(at)))
         for part in model.parts
-        for at, place in enumerate(part.places)
+        for at in range(len(part.places))
     ]
     told: set[str] = set()
     for part in model.parts:
-        material = materials[part.material]
+        material = model.material(part)
         title, solid, change = material.title, _as_solid(material.surface), overrides.of(material)
         overridden = change is not None and change.surface is not None
         if title in told or solid is None or overridden:
             continue
-        vertices = _in_place(part.mesh.vertices, part.places[0])
         alike, others = (
             [points for *copy, own, points in copies if copy != [part.name, 0] and keep(own, title)]
             for keep in (operator.eq, operator.ne)
         )
-        if has_body(dataclasses.replace(part.mesh, vertices=vertices), alike, others):
+        if has_body(dataclasses.replace(part.mesh, vertices=part.placed(0)), alike, others):
             told.add(title)
             yield (
                 f"material {shown(title)!r} is glass without a volume, a thin sheet in glTF, but "
@@ -255,17 +238,10 @@ def _as_solid(surface: Surface) -> str | None:
 def _mean(value: Colour | Value) -> Floats:
     """The channels of a colour or a value; of an image their means, of vertex colours white."""
     if isinstance(value, Texture):
-        pixels = value.pixels / 255.0 if value.pixels.dtype == np.uint8 else value.pixels
-        linear = linear_from_srgb(pixels) if value.encoded else pixels
-        return linear.mean(axis=(0, 1), dtype=np.float64)
+        return value.linear().mean(axis=(0, 1), dtype=np.float64)
     return np.atleast_1d(np.array(value if isinstance(value, float | tuple) else 1.0, np.float64))
 
 
 def _toml(colour: ArrayLike) -> str:
-    """A colour; one number where its channels are equal."""
     channels = [f"{channel:.4g}" for channel in np.ravel(colour)]
     return channels[0] if len(set(channels)) == 1 else f"[{', '.join(channels)}]"
-
-
-def _in_place(vertices: Floats, place: Floats) -> Floats:
-    return vertices @ place[:3, :3].T + place[:3, 3]

@@ -177,13 +177,7 @@ class _Reader:
             mesh = oriented_outwards(mesh, primitive.where)
         if layers.textured and mesh.uv is None:
             layers.note("textures on a mesh without texture coordinates (one point is used)")
-            mesh = Mesh(
-                mesh.vertices,
-                mesh.normals,
-                mesh.faces,
-                np.zeros((len(mesh.vertices), 2)),
-                mesh.colours,
-            )
+            mesh = dataclasses.replace(mesh, uv=np.zeros((len(mesh.vertices), 2)))
         for placed, places, scale in _placed(mesh, copies):
             used = scale if self._materials.solid(material) else 1.0
             for piece, mirrored in by_handedness(placed, self._materials.bumpy(material)):
@@ -192,19 +186,15 @@ class _Reader:
 
     def _add(self, name: str, mesh: Mesh, copies: list[_Copy], index: int | None, use: Use) -> None:
         material, factor = self._materials.read(index, use)
-        colours = None
-        if mesh.colours is not None and factor is not None:
-            colours = mesh.colours * factor
-        mesh = Mesh(mesh.vertices, mesh.normals, mesh.faces, mesh.uv, colours)
-        self._parts.append(
-            Part(
-                self._part_names.unique(safe_name(name)),
-                mesh,
-                material.name,
-                tuple(copy.world for copy in copies),
-                tuple(copy.object for copy in copies),
-            )
+        colours = None if mesh.colours is None or factor is None else mesh.colours * factor
+        part = Part(
+            self._part_names.unique(safe_name(name)),
+            dataclasses.replace(mesh, colours=colours),
+            material.name,
+            tuple(copy.world for copy in copies),
+            tuple(copy.object for copy in copies),
         )
+        self._parts.append(part)
 
 
 def oriented_outwards(mesh: Mesh, where: str) -> Mesh:

@@ -338,13 +338,8 @@ def _faceted(mesh: Mesh) -> Mesh:
     normals = area_normals(mesh.vertices, mesh.faces)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     corners = mesh.faces.ravel()
-    return Mesh(
-        mesh.vertices[corners],
-        np.repeat(normals, 3, axis=0),
-        np.arange(len(corners)).reshape(-1, 3),
-        None if mesh.uv is None else mesh.uv[corners],
-        None if mesh.colours is None else mesh.colours[corners],
-    )
+    faceted = mesh.taken(corners, np.arange(len(corners)).reshape(-1, 3))
+    return dataclasses.replace(faceted, normals=np.repeat(normals, 3, axis=0))
 
 
 def _with_normals(mesh: Mesh, normals: Floats) -> Mesh:

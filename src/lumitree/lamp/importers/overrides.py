@@ -147,7 +147,6 @@ def select_parts(model: Geometry, keep: Sequence[str], drop: Sequence[str], file
     Patterns match the name of a part, its object or its material. A part with several copies keeps
     the copies whose objects match. A pattern without a match, or an empty selection, is refused.
     """
-    titles = {material.name: material.title for material in model.materials}
     objects = {name for part in model.parts for name in part.objects}
     copies = [(part, at) for part in model.parts for at in range(len(part.places))]
     names = []
@@ -155,7 +154,7 @@ def select_parts(model: Geometry, keep: Sequence[str], drop: Sequence[str], file
         own = [part.objects[at]] if part.objects else []
         # Also the name of a part of an object of another name.
         own += [] if part.name in objects else [part.name]
-        names.append(tuple(dict.fromkeys([*own, titles[part.material], part.material])))
+        names.append(tuple(dict.fromkeys([*own, model.material(part).title, part.material])))
     chosen = select_names(names, keep, drop, file, "part or material")
     kept: dict[str, list[int]] = {}
     for (part, at), wanted in zip(copies, chosen, strict=True):
@@ -186,9 +185,9 @@ def emitting_area(model: Geometry, title: str) -> float:
 
     Every copy counts.
     """
-    total, materials = 0.0, {material.name: material for material in model.materials}
+    total = 0.0
     for part in _parts_with(model, title):
-        opacity = opacity_of_faces(materials[part.material].opacity, part.mesh)
+        opacity = opacity_of_faces(model.material(part).opacity, part.mesh)
         normals = opacity[:, None] * area_normals(part.mesh.vertices, part.mesh.faces)
         for place in part.places:
             linear = place[:3, :3]
@@ -280,7 +279,6 @@ def _divided(colour: RGB, divisor: float) -> RGB:
 
 
 def _resurfaced(model: Geometry, material: Material, change: MaterialOverride) -> Material:
-    """The material with the surface and the opacity of an override."""
     if change.surface is not None:
         # Opacity and normal map belong to the surface that is replaced.
         material = Material(
@@ -296,7 +294,6 @@ def _resurfaced(model: Geometry, material: Material, change: MaterialOverride) -
 
 
 def _lit(model: Geometry, material: Material, change: MaterialOverride, file: str) -> Material:
-    """The material with the emission of an override."""
     if change.emission is None:
         return material
     radiance = _radiance(model, material.title, change.emission, file)
@@ -343,9 +340,7 @@ def _whole_meshes(parts: Sequence[Part]) -> list[Mesh]:
 
 
 def _parts_with(model: Geometry, title: str) -> list[Part]:
-    """The parts with a material of the file."""
-    names = {material.name for material in model.materials if material.title == title}
-    return [part for part in model.parts if part.material in names]
+    return [part for part in model.parts if model.material(part).title == title]
 
 
 def _radiance(model: Geometry, title: str, emission: Emission, file: str) -> RGB | None:
