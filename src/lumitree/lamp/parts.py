@@ -8,6 +8,7 @@ materials are unique, and patterns choose by them.
 import dataclasses
 import fnmatch
 import functools
+import re
 from collections.abc import Sequence
 from typing import Literal
 
@@ -301,6 +302,10 @@ def _largest(radiance: Colour | None, mesh: Mesh) -> float:
     if isinstance(radiance, VertexColour):
         return 0.0 if mesh.colours is None else float(mesh.colours.max())
     return max(radiance or (0.0,))
+
+
+# A pattern of digits alone; a name of this form is matched by "[#]3".
+_NUMBER = re.compile(r"#[0-9]{1,9}")
 
 
 class Names:

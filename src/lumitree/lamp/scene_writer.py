@@ -5,9 +5,8 @@ import itertools
 import math
 import os
 import warnings
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
@@ -51,16 +50,19 @@ _MAX_BYTES = 5 * 2**28
 
 
 class MaskedEmission:
-    """Radiance times opacity of the materials of a model; equal products are made once."""
+    """Radiance times opacity of the materials of a model; equal products are made once.
+
+    Mitsuba's emitters also emit where a mask lets light through.
+    """
 
     def __init__(self) -> None:
-        self._made: dict[Hashable, NDArray[np.float32]] = {}
+        self._made: dict[tuple[int | RGB, int | float], NDArray[np.float32]] = {}
 
     def of(self, material: Material) -> Colour | None:
         """Emission of a material; None for nothing.
 
-        The mean of an opacity whose texture coordinates differ from the radiance's, after a
-        warning.
+        If the texture coordinates of the opacity differ from the radiance's, its mean is used,
+        after a warning.
         """
         radiance, opacity = material.radiance, material.opacity
         if radiance is None or (not isinstance(opacity, Texture) and opacity == 0):
@@ -68,14 +70,17 @@ class MaskedEmission:
         if isinstance(radiance, VertexColour) or opacity == 1:
             return radiance
         if not isinstance(radiance, Texture):
-            if not isinstance(opacity, Texture):
-                red, green, blue = (float(opacity * value) for value in radiance)
-                return (red, green, blue)
-            return self._product(radiance, opacity, opacity, material.title)
-        if isinstance(opacity, Texture) and not _placed_alike(radiance, opacity):
+            if isinstance(opacity, Texture):
+                return self._product(radiance, opacity, opacity, material.title)
+            red, green, blue = (float(opacity * value) for value in radiance)
+            return (red, green, blue)
+        if isinstance(opacity, Texture) and not (
+            np.array_equal(radiance.uv_transform, opacity.uv_transform)
+            and radiance.wrap == opacity.wrap
+        ):
             warnings.warn(
                 f"material {shown(material.title)!r}: its opacity has other texture coordinates "
-                "than what it emits, which is multiplied by the mean of the opacity",
+                "than its emission, which is multiplied by the mean of the opacity",
                 LumitreeWarning,
                 stacklevel=2,
             )
@@ -85,42 +90,29 @@ class MaskedEmission:
     def _product(
         self, radiance: RGB | Texture, opacity: Value, placed: Texture, title: str
     ) -> Texture:
-        """A texture that is placed like one of both."""
-        key = _key(radiance), _key(opacity)
+        """A texture with the coordinates of `placed`."""
+        key = (
+            id(radiance.pixels) if isinstance(radiance, Texture) else radiance,
+            id(opacity.pixels) if isinstance(opacity, Texture) else opacity,
+        )
         if key not in self._made:
-            light, share = _linear(radiance), _linear(opacity)
-            height, width = np.maximum(light.shape[:2], share.shape[:2]).tolist()
+            factors = [
+                each.linear() if isinstance(each, Texture) else np.reshape(each, (1, 1, -1))
+                for each in (radiance, opacity)
+            ]
+            height, width = (max(each.shape[axis] for each in factors) for axis in (0, 1))
             size = sum(each.nbytes for each in self._made.values()) + 12 * height * width
             if size > _MAX_BYTES:
                 raise LumitreeError(
-                    f"material {shown(title)!r}: what it emits, times its opacity, brings such "
-                    f"images to {size >> 20} MiB; at most {_MAX_BYTES >> 20} MiB: make them smaller"
+                    f"material {shown(title)!r}: emission times opacity brings such images to "
+                    f"{size >> 20} MiB; at most {_MAX_BYTES >> 20} MiB: make them smaller"
                 )
-            product = _enlarged(light, height, width) * _enlarged(share, height, width)
-            self._made[key] = product.astype(np.float32)
+            light, share = (
+                each if each.shape[:2] == (1, 1) else resized(each, height, width)
+                for each in factors
+            )
+            self._made[key] = (light * share).astype(np.float32)
         return dataclasses.replace(placed, pixels=self._made[key], encoded=False)
-
-
-def _placed_alike(first: Texture, second: Texture) -> bool:
-    same = np.array_equal(first.uv_transform, second.uv_transform)
-    return same and first.wrap == second.wrap
-
-
-def _key(value: RGB | Value) -> Hashable:
-    return id(value.pixels) if isinstance(value, Texture) else value
-
-
-def _linear(value: RGB | Value) -> Any:
-    if not isinstance(value, Texture):
-        return np.reshape(value, (1, 1, -1))
-    return value.linear()
-
-
-def _enlarged(values: Any, height: int, width: int) -> Any:
-    """Values [H, W, C] in another size; a single pixel stays one."""
-    if values.shape[:2] in ((1, 1), (height, width)):
-        return values
-    return resized(values, height, width)
 
 
 def normal_reflectance(material: Json) -> list[float]:

@@ -1,7 +1,7 @@
 """A luminaire as the geometry of an asset: its meshes and images as arrays, its BSDFs by name."""
 
 from collections import defaultdict
-from contextlib import AbstractContextManager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from lumitree.lamp.media import stored_medium
 from lumitree.lamp.meshes import area_normals
 from lumitree.lamp.scene_file import SceneFile
 
+Arrays = dict[str, NDArray[Any]]
 _ANALYTIC = ("sphere", "disk", "cylinder", "rectangle")
 # For all copies of instances; an asset has 36 bytes for each.
 _MAX_PRIMITIVES = 20_000_000
@@ -64,39 +65,40 @@ class _Reader:
         names = [shown(node.props.id() or node.props.plugin_name(), 60) for node in nodes]
         described = []
         for node, name in zip(nodes, names, strict=True):
-            with _of_shape(name):
+            with naming(partial("shape {!r}".format, name)):
                 described.append(self._describe(node.props))
         if len(shapes) != len(nodes):
             raise LumitreeError("a shape that becomes several, such as `merge`, is not stored")
-        meshes: dict[str, list[tuple[Json, dict[str, NDArray[Any]]]]] = defaultdict(list)
+        meshes: dict[str, list[tuple[Json, Arrays]]] = defaultdict(list)
         others = []
-        mirrored = self._file.mirrored()
         for turned, name, shape, description in zip(
-            mirrored, names, shapes, described, strict=True
+            self._file.mirrored(), names, shapes, described, strict=True
         ):
-            with _of_shape(name):
-                description |= _media(shape)
-            mesh = {}
-            # A rectangle is a mesh to Mitsuba.
-            if shape.is_mesh() and description["type"] not in _ANALYTIC:
-                mesh, description["flipped"] = mesh_arrays(shape), is_flipped(shape)
-                if turned:
-                    _turn(mesh)
-            with _of_shape(name):
+            with naming(partial("shape {!r}".format, name)):
+                sides = {"interior": shape.interior_medium(), "exterior": shape.exterior_medium()}
+                description |= {
+                    side: stored_medium(medium)
+                    for side, medium in sides.items()
+                    if medium is not None
+                }
+                mesh: Arrays = {}
+                # A rectangle is a mesh to Mitsuba.
+                if shape.is_mesh() and description["type"] not in _ANALYTIC:
+                    mesh, description["flipped"] = mesh_arrays(shape), is_flipped(shape)
+                    if turned:
+                        _turn(mesh)
                 material = self._materials[description["material"]]
                 check_surface(material, description["radiance"], mesh, self._facts)
-            if mesh:
-                key = repr((description, sorted(mesh)))
-                meshes[key].append((description, mesh))
-            else:
-                others.append(_analytic(name, shape, description))
+                if mesh:
+                    meshes[repr((description, sorted(mesh)))].append((description, mesh))
+                else:
+                    others.append(_analytic(shape, description))
         return _joined(meshes, others, self._images, self._materials, origin)
 
     def _describe(self, props: Any) -> Json:
-        """Properties of a shape besides its geometry."""
         plugin = props.plugin_name()
         radiance, material = None, None
-        for child in self._children(props).values():
+        for child in self._file.children(props).values():
             if child.type == load_mitsuba().ObjectType.Emitter:
                 radiance = self._radiance(child.props)
             elif child.type == load_mitsuba().ObjectType.BSDF:
@@ -136,7 +138,7 @@ class _Reader:
         """Parameters of a plugin, and the materials that it holds."""
         mi = load_mitsuba()
         values: Json = {}
-        children = self._children(props)
+        children = self._file.children(props)
         for name in list(props.keys()):
             child = children.get(name)
             if child is None:
@@ -152,9 +154,6 @@ class _Reader:
             else:
                 raise LumitreeError(f"{props.plugin_name()} holds an object that is not stored")
         return values
-
-    def _children(self, props: Any) -> dict[str, Any]:
-        return self._file.children(props)
 
     def _texture(self, props: Any) -> Json:
         plugin = props.plugin_name()
@@ -197,10 +196,6 @@ class _Reader:
         return self._image_of[key]
 
 
-def _of_shape(name: str) -> AbstractContextManager[None]:
-    return naming(lambda: f"shape {name!r}")
-
-
 def _plain(name: str, value: Any) -> Any:
     """A number, text or colour as JSON has it."""
     if isinstance(value, bool | int | float | str):
@@ -224,13 +219,7 @@ def _colour(props: Any, name: str) -> Any:
     return value if len(value) == 3 else value[0]
 
 
-def _media(shape: Any) -> Json:
-    """Media inside and outside of a shape, by the names of `AssetGeometry`."""
-    found = {"interior": shape.interior_medium(), "exterior": shape.exterior_medium()}
-    return {side: stored_medium(medium) for side, medium in found.items() if medium is not None}
-
-
-def _turn(mesh: dict[str, NDArray[Any]]) -> None:
+def _turn(mesh: Arrays) -> None:
     """Turn the faces of a mesh round, and its normals if Mitsuba has made them from the faces."""
     mesh["faces"] = mesh["faces"][:, ::-1]
     if "normals" in mesh:
@@ -240,11 +229,10 @@ def _turn(mesh: dict[str, NDArray[Any]]) -> None:
             mesh["normals"] = -mesh["normals"]
 
 
-def _analytic(name: str, shape: Any, description: Json) -> Json:
+def _analytic(shape: Any, description: Json) -> Json:
     if description["type"] not in _ANALYTIC:
-        raise LumitreeError(f"shape {name!r} is a {description['type']}, which is not stored")
-    matrix = np.array(load_mitsuba().traverse(shape)["to_world"].matrix, np.float64)
-    matrix = matrix.reshape(4, 4)
+        raise LumitreeError(f"a {description['type']} is not stored")
+    matrix = np.array(load_mitsuba().traverse(shape)["to_world"].matrix, np.float64).reshape(4, 4)
     if description["type"] == "disk":
         # Its matrix has the turned normal already.
         description = {**description, "flipped": False}
@@ -252,7 +240,7 @@ def _analytic(name: str, shape: Any, description: Json) -> Json:
 
 
 def _joined(
-    meshes: "dict[str, list[tuple[Json, dict[str, NDArray[Any]]]]]",
+    meshes: dict[str, list[tuple[Json, Arrays]]],
     others: list[Json],
     images: list[NDArray[Any]],
     materials: list[Json],

@@ -137,7 +137,7 @@ def test_vertex_colours_that_are_not_used(model, tmp_path):
     image(tmp_path / "a.png", np.zeros((2, 2, 3)))
     text = PAINTED + "usemtl a\nf 1/1 2/1 3/1 4/1"
     for lines in ("map_Kd a.png", "illum 4", "illum 3\nKd 0 0 0\nKs 1 1 1"):
-        with pytest.warns(LumitreeWarning, match="left out: vertex colours"):
+        with pytest.warns(LumitreeWarning, match="not used: vertex colours"):
             assert model(text, "newmtl a\n" + lines).parts[0].mesh.colours is None
     white = PAINTED.replace("1 0 0\n", "1 1 1\n").replace("0 0 1\n", "1 1 1\n")
     assert model(white + "usemtl a\nf 1 2 3", "newmtl a").parts[0].mesh.colours is None
@@ -270,7 +270,7 @@ def test_normal_maps_and_height_maps(quad, tmp_path):
     assert isinstance(quad("norm n.png").normal_map, Texture)
     halved = quad("map_Bump -bm 0.5 n.png").normal_map.pixels[0, 0] / 127.5 - 1
     assert halved[0] / halved[2] == pytest.approx(0.375, abs=0.02)
-    with pytest.warns(LumitreeWarning, match=r"'a': left out: bump \(a height map"):
+    with pytest.warns(LumitreeWarning, match=r"'a': not used: bump \(a height map"):
         assert quad("map_Bump grey.png").normal_map is None
 
 
@@ -279,7 +279,7 @@ def test_what_is_left_out_is_reported_in_one_warning(quad, tmp_path):
     with pytest.warns(LumitreeWarning) as caught:
         quad("map_Kd -mm 0.5 2 -imfchan r a.png\nmap_Ns a.png\ndecal a.png")
     assert [str(item.message) for item in caught] == [
-        "material 'a': left out: map_Ns, decal, map_Kd -mm, map_Kd -imfchan r"
+        "material 'a': not used: map_Ns, decal, map_Kd -mm, map_Kd -imfchan r"
     ]
 
 

@@ -42,6 +42,8 @@ from lumitree.lamp.importers.model_files import (
     looked_up,
 )
 from lumitree.lamp.importers.obj_text import readable, with_point
+from lumitree.lamp.importers.topology import count_solids
+from lumitree.lamp.meshes import Mesh
 from lumitree.lamp.parts import (
     RGB,
     WHITE,
@@ -64,24 +66,23 @@ _VALUES = ("Ka", "Kd", "Ks", "Ke", "Tf", "Ns", "Ni", "d", "Tr", "illum")
 _VALUES += ("Pr", "Pm", "Ps", "Pc", "Pcr", "aniso", "anisor", "sharpness")
 _NAMES = {key.lower(): key for key in _VALUES}
 _COLOURS = ("Ka", "Kd", "Ks", "Ke", "Tf")
-_MAPS = {
-    "map_bump": "bump",
-    "bump": "bump",
-    "norm": "norm",
-    "map_kn": "norm",
-    "map_norm": "norm",
-    "disp": "disp",
-    "map_disp": "disp",
-    "decal": "decal",
-    "refl": "refl",
-    "map_refl": "refl",
-    "map_tr": "map_d",
-    "map_opacity": "map_d",
-}
+_MAPS = {"map_bump": "bump", "bump": "bump", "norm": "norm", "map_kn": "norm", "map_norm": "norm"}
+_MAPS |= {"disp": "disp", "map_disp": "disp", "decal": "decal", "refl": "refl", "map_refl": "refl"}
+_MAPS |= {"map_tr": "map_d", "map_opacity": "map_d"}
 _MAX_VALUE = 1e9
 # Numbers that an option takes at most, and those with which it changes nothing.
 _NUM_VALUES = {"-s": 3, "-o": 3, "-t": 3, "-mm": 2, "-bm": 1, "-boost": 1, "-texres": 1}
 _NEUTRAL = {"-mm": [0.0, 1.0], "-t": [0.0, 0.0, 0.0], "-boost": [0.0]}
+_FORMATS = ("PNG", "JPEG", "TGA", "BMP", "TIFF", "WEBP")
+# Bytes of a pixel of the largest array that is made of an image.
+_PIXEL_BYTES = 12
+_GLASS_ILLUM, _MIRROR_ILLUM = (4, 6, 7, 9), (3, 5)
+# Number of values (four a pixel) that are tested to find out whether an image is a normal map.
+_NUM_PROBES = 2**22
+_PHYSICAL = ("Pr", "Pm", "Ps", "Pc", "Pcr", "aniso")
+_USED_MAPS = {"map_Kd", "map_Ke", "map_d", "map_Pr", "map_Pm", "map_Ps", "bump", "norm", "map_Ka"}
+_BLACK: RGB = (0.0, 0.0, 0.0)
+_GREY: RGB = (0.5, 0.5, 0.5)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -106,6 +107,10 @@ class MtlMaterial:
 
     values: dict[str, tuple[float, ...]] = dataclasses.field(default_factory=dict)
     maps: dict[str, MtlMap] = dataclasses.field(default_factory=dict)
+
+    @property
+    def emits(self) -> bool:
+        return "map_Ke" in self.maps or max(self.values.get("Ke", (0.0,))) > 0
 
 
 def parse_mtl(path: Path) -> dict[str, MtlMaterial]:
@@ -134,7 +139,7 @@ def _add_value(material: MtlMaterial, key: str, text: str, where: str) -> None:
     words = text.partition("#")[0].split()
     if words and words[0] in ("spectral", "xyz"):
         warnings.warn(
-            f"{where}: {key} {words[0]} is not supported and left out; write R G B",
+            f"{where}: {key} {words[0]} is not supported and not used; write R G B",
             LumitreeWarning,
             stacklevel=3,
         )
@@ -162,13 +167,17 @@ def _map(text: str, where: str) -> MtlMap:
     words, result, ignored = text.split(), {}, []
     while words and words[0].startswith("-"):
         option = words.pop(0).lower()
-        numbers = _leading_numbers(words, option, where)
+        # As many numbers as are there, up to the option's count.
+        numbers: list[float] = []
+        while words and len(numbers) < _NUM_VALUES.get(option, 0):
+            try:
+                float(with_point(words[0]))
+            except ValueError:
+                break
+            numbers.append(_number(words.pop(0), option, where))
         if option in ("-s", "-o") and numbers:
             default = 1.0 if option == "-s" else 0.0
-            result["scale" if option == "-s" else "offset"] = (
-                numbers[0],
-                numbers[1] if len(numbers) > 1 else default,
-            )
+            result["scale" if option == "-s" else "offset"] = (*numbers, default)[:2]
         elif option == "-bm" and numbers:
             result["bump_scale"] = numbers[0]
         elif option == "-clamp" and words:
@@ -186,25 +195,11 @@ def _map(text: str, where: str) -> MtlMap:
     return MtlMap(file.strip().strip('"'), ignored=tuple(ignored), **result)
 
 
-def _leading_numbers(words: list[str], option: str, where: str) -> list[float]:
-    """Take an option's numbers off the words; as many as are there, up to its own count."""
-    numbers: list[float] = []
-    while words and len(numbers) < _NUM_VALUES.get(option, 0):
-        try:
-            float(with_point(words[0]))
-        except ValueError:
-            break
-        numbers.append(_number(words.pop(0), option, where))
-    return numbers
-
-
-_FORMATS = ("PNG", "JPEG", "TGA", "BMP", "TIFF", "WEBP")
-# Bytes of a pixel of the largest array that is made of an image.
-_PIXEL_BYTES = 12
-
-
 class ObjFolder:
-    """The folder of an OBJ file, and the images of its materials."""
+    """The folder of an OBJ file, and the images of its materials.
+
+    A file that is missing is ignored, with a warning.
+    """
 
     def __init__(self, model: Path) -> None:
         self._model = model
@@ -212,10 +207,7 @@ class ObjFolder:
         self._images = Images()
 
     def find(self, name: str, purpose: str) -> Path | None:
-        """Path of a file that the model names; None, after a warning, where there is none.
-
-        `purpose` says what names it.
-        """
+        """Path of a file that the model names; `purpose` says what names it."""
         path = self._folder.find(name, f"{self._model}: {purpose}")
         if path is None:
             warnings.warn(
@@ -227,151 +219,126 @@ class ObjFolder:
         return path
 
     def name_beside(self, path: Path, name: str) -> str:
-        """The name, in the model's folder, of a file that another names if it is relative to that.
-
-        The name as it is if there is no such file.
-        """
+        """The name, in the model's folder, of a file beside another; else the name as it is."""
         below = os.path.relpath(os.path.realpath(path.parent), os.path.realpath(self._model.parent))
         beside = posixpath.normpath(f"{Path(below).as_posix()}/{name}".replace("\\", "/"))
         return beside if os.path.isfile(self._model.parent / beside) else name
 
     def image(self, name: str, purpose: str) -> DecodedImage | None:
-        """An image that the model names; None, after a warning, where there is none."""
+        """An image that the model names."""
         path = self.find(name, purpose)
         if path is None:
             return None
+        return self._images.decoded(
+            name,
+            lambda: read_bytes(path, "an image", MAX_MODEL_BYTES),
+            shown(path, 300),
+            _FORMATS,
+        )
 
-        def read() -> bytes:
-            return read_bytes(path, "an image", MAX_MODEL_BYTES)
-
-        return self._images.decoded(name, read, shown(path, 300), _FORMATS)
-
-    def made(
-        self,
-        name: str,
-        role: Hashable,
-        image: DecodedImage,
-        make: Callable[[DecodedImage], NDArray],
-    ) -> NDArray:
+    def made(self, name: str, role: Hashable, size: int, make: Callable[[], NDArray]) -> NDArray:
         """Result of `make` for the image called `name`, once for each role."""
-        height, width = image.pixels.shape[:2]
-        size = _PIXEL_BYTES * height * width
-        return self._images.made((name, role), size, shown(name), lambda: make(image))
-
-
-GREY = Diffuse((0.5, 0.5, 0.5))
-_GLASS_ILLUM = (4, 6, 7, 9)
-_MIRROR_ILLUM = (3, 5)
-# Number of values (four a pixel) that are tested to find out whether an image is a normal map.
-_NUM_PROBES = 2**22
-_PHYSICAL = ("Pr", "Pm", "Ps", "Pc", "Pcr", "aniso")
-_USED_MAPS = {"map_Kd", "map_Ke", "map_d", "map_Pr", "map_Pm", "map_Ps", "bump", "norm", "map_Ka"}
+        return self._images.made((name, role), size, shown(name), make)
 
 
 def material(
-    name: str,
-    source: MtlMaterial,
-    closed: Callable[[], bool],
-    coloured: bool,
-    folder: ObjFolder,
+    name: str, source: MtlMaterial | None, mesh: Mesh, folder: ObjFolder
 ) -> tuple[Material, RGB | None]:
-    """The material that an MTL block describes, and the factor of the vertex colours, if used.
+    """The material of a mesh by its MTL block, and the factor of the vertex colours, if used.
 
-    `closed` returns whether every piece of the mesh that it covers is closed; `coloured` meshes
-    have vertex colours.
+    Without MTL block it is grey, or has the vertex colours.
     """
-    return _Reader(name, source, folder).read(closed, coloured)
+    coloured = mesh.colours is not None
+    if source is None:
+        surface = Diffuse(VertexColour() if coloured else _GREY)
+        return Material(name, surface, two_sided=True), WHITE if coloured else None
+    return _Reader(name, source, mesh, folder).read(coloured)
 
 
 class _Reader:
-    def __init__(self, name: str, source: MtlMaterial, folder: ObjFolder) -> None:
-        self._name, self._values, self._folder = name, source.values, folder
+    def __init__(self, name: str, source: MtlMaterial, mesh: Mesh, folder: ObjFolder) -> None:
+        self._name, self._values, self._mesh, self._folder = name, source.values, mesh, folder
         self._maps = dict(source.maps)
         self._ignored = [key for key in self._maps if key not in _USED_MAPS]
 
-    def read(self, closed: Callable[[], bool], coloured: bool) -> tuple[Material, RGB | None]:
-        surface, factor = self._surface(closed), None
+    def read(self, coloured: bool) -> tuple[Material, RGB | None]:
+        surface, factor = self._surface(), None
         if coloured:
-            surface, factor = self._painted(surface)
-        opacity = 1.0 if isinstance(surface, Glass) else self._opacity()
+            with_colours = None if "map_Kd" in self._maps else painted(surface)
+            if with_colours is None:
+                self._ignored.append("vertex colours (glass, metal or map_Kd has the colour)")
+            else:
+                surface, factor = with_colours, self._rgb("Kd", WHITE)
         result = Material(
             self._name,
             surface,
             radiance=self._radiance(),
-            opacity=opacity,
+            opacity=1.0 if isinstance(surface, Glass) else self._opacity(),
             normal_map=self._normal_map(),
             two_sided=not isinstance(surface, Glass),
         )
         if self._ignored:
-            self._warn(f"left out: {', '.join(dict.fromkeys(self._ignored))}")
+            self._warn("not used: " + shown(", ".join(dict.fromkeys(self._ignored)), 300))
         return result, factor
 
-    def _painted(self, surface: Surface) -> tuple[Surface, RGB | None]:
-        """The surface with the mesh's vertex colours, and their factor."""
-        result = None if "map_Kd" in self._maps else painted(surface)
-        if result is None:
-            self._ignored.append("vertex colours (glass, metal or map_Kd has the colour)")
-            return surface, None
-        return result, self._rgb("Kd", WHITE)
+    def _warn(self, text: str) -> None:
+        warnings.warn(f"material {shown(self._name)!r}: {text}", LumitreeWarning, stacklevel=2)
 
-    def _surface(self, closed: Callable[[], bool]) -> Surface:
+    def _surface(self) -> Surface:
         illum, refraction = int(self._number("illum", 2)), self._number("Ni", 1.0)
         ior = float(min(refraction, 4.0)) if refraction > 1 else 1.5
         see_through = self._coverage() < 1 and "map_d" not in self._maps and refraction > 1
         if illum in _GLASS_ILLUM or see_through:
-            return self._glass(ior, closed())
-        base, specular = self._base(), self._rgb("Ks", (0.0, 0.0, 0.0))
+            return self._glass(ior)
+        # `map_Kd` in place of `Kd`, as exporters write it whatever `Kd` says.
+        diffuse, specular = self._rgb("Kd", _GREY), self._rgb("Ks", _BLACK)
+        base = self._texture("map_Kd", "colour", _colour, encoded=True) or diffuse
         if any(key in self._values or f"map_{key}" in self._maps for key in _PHYSICAL):
-            return self._principled(base, ior)
-        diffuse = self._rgb("Kd", (0.5, 0.5, 0.5))
+            return Principled(
+                base,
+                metallic=self._value("Pm", 0.0),
+                roughness=self._value("Pr", 0.5),
+                anisotropy=self._unit("aniso", 0.0),
+                ior=ior,
+                sheen=self._value("Ps", 0.0),
+                clearcoat=self._unit("Pc", 0.0),
+                clearcoat_roughness=self._unit("Pcr", 0.0),
+            )
+        # Roughness (root of alpha) of a Phong lobe of exponent `Ns`: alpha² = 2 / (Ns + 2).
+        gloss = float((2.0 / (max(self._number("Ns", 0.0), 0.0) + 2.0)) ** 0.25)
         if illum in _MIRROR_ILLUM and max(specular) >= max(diffuse) and max(specular) > 0:
-            return Metal(specular, self._gloss())
+            return Metal(specular, gloss)
         if illum not in (0, 1) and max(specular) > 0:
-            return Principled(base, roughness=self._gloss(), ior=ior)
+            return Principled(base, roughness=gloss, ior=ior)
         return Diffuse(base)
 
-    def _glass(self, ior: float, closed: bool) -> Glass:
+    def _glass(self, ior: float) -> Glass:
+        solids, pieces = count_solids(self._mesh)
+        closed = solids == pieces
+        if 0 < solids < pieces:
+            self._warn(
+                f"{solids} of {pieces} pieces are closed, the others are not; all are taken to be "
+                "thin sheets of glass"
+            )
         filtered = self._rgb("Tf", WHITE)
         if closed:
             # The light crosses a solid's surface twice.
             filtered = (filtered[0] ** 0.5, filtered[1] ** 0.5, filtered[2] ** 0.5)
-        roughness = self._unit("Pr", 0.0) if closed else 0.0
-        return Glass(ior, roughness, filtered, thin=not closed)
-
-    def _principled(self, base: Colour, ior: float) -> Principled:
-        return Principled(
-            base,
-            metallic=self._value("Pm", 0.0),
-            roughness=self._value("Pr", 0.5),
-            anisotropy=self._unit("aniso", 0.0),
-            ior=ior,
-            sheen=self._value("Ps", 0.0),
-            clearcoat=self._unit("Pc", 0.0),
-            clearcoat_roughness=self._unit("Pcr", 0.0),
-        )
-
-    def _base(self) -> Colour:
-        """`map_Kd` in place of `Kd`, as exporters write it whatever `Kd` says."""
-        texture = self._texture("map_Kd", "colour", _colour, encoded=True)
-        return texture or self._rgb("Kd", (0.5, 0.5, 0.5))
+        return Glass(ior, self._unit("Pr", 0.0) if closed else 0.0, filtered, thin=not closed)
 
     def _radiance(self) -> Colour | None:
-        radiance = tuple(max(value, 0.0) for value in self._values.get("Ke", (0.0, 0.0, 0.0)))
+        red, green, blue = (max(value, 0.0) for value in self._values.get("Ke", _BLACK))
+        emits = max(red, green, blue) > 0
         # Where there is a map, Ke may be missing, or black by default; the map is then not scaled.
-        factor = radiance if max(radiance) > 0 else WHITE
-        texture = self._texture(
-            "map_Ke", ("radiance", factor), lambda image: _radiance(image, factor)
-        )
-        if texture is not None:
-            return texture
-        return (radiance[0], radiance[1], radiance[2]) if max(radiance) > 0 else None
+        factor = (red, green, blue) if emits else WHITE
+        role = "radiance", factor
+        texture = self._texture("map_Ke", role, lambda image: _radiance(image, factor))
+        return texture or (factor if emits else None)
 
     def _opacity(self) -> Value:
         coverage = self._coverage()
-        texture = self._texture(
-            "map_d", ("opacity", coverage), lambda image: _share(image, coverage)
-        )
-        return coverage if texture is None else texture
+        role = "opacity", coverage
+        return self._texture("map_d", role, lambda image: _share(image, coverage)) or coverage
 
     def _normal_map(self) -> Texture | None:
         """`norm`, or a `bump` image that is one; height maps are not supported."""
@@ -385,8 +352,7 @@ class _Reader:
         return self._texture(key, ("normals", strength), lambda image: _scaled(image, strength))
 
     def _value(self, key: str, default: float) -> Value:
-        texture = self._texture(f"map_{key}", "value", _value)
-        return self._unit(key, default) if texture is None else texture
+        return self._texture(f"map_{key}", "value", _value) or self._unit(key, default)
 
     def _texture(
         self,
@@ -395,9 +361,9 @@ class _Reader:
         pick: Callable[[DecodedImage], NDArray],
         encoded: bool = False,
     ) -> Texture | None:
-        """Texture of what `pick` takes out of a map's image; None for no map.
+        """Texture of the array that `pick` takes out of a map's image; None for no map.
 
-        `role` is what `pick` depends on besides the image.
+        `role` is all that `pick` depends on besides the image.
         """
         image = self._image(key)
         if image is None:
@@ -408,12 +374,12 @@ class _Reader:
             self._ignored.append(f"{key} -bm")
         # The file counts v from the last row, meshes and textures from the first.
         (su, sv), (ou, ov) = entry.scale, entry.offset
-        matrix = np.array([[su, 0, ou], [0, sv, 1 - sv - ov], [0, 0, 1]])
+        size = _PIXEL_BYTES * image.pixels.shape[0] * image.pixels.shape[1]
         return Texture(
-            self._folder.made(entry.file, role, image, pick),
+            self._folder.made(entry.file, role, size, lambda: pick(image)),
             encoded,
             "clamp" if entry.clamp else "repeat",
-            uv_transform=matrix,
+            uv_transform=np.array([[su, 0, ou], [0, sv, 1 - sv - ov], [0, 0, 1]]),
         )
 
     def _image(self, key: str) -> DecodedImage | None:
@@ -425,12 +391,7 @@ class _Reader:
         return image
 
     def _coverage(self) -> float:
-        transparency = self._number("Tr", 0.0)
-        return float(np.clip(self._number("d", 1.0 - transparency), 0.0, 1.0))
-
-    def _gloss(self) -> float:
-        """Roughness (root of alpha) of a Phong lobe of exponent `Ns`: alpha² = 2 / (Ns + 2)."""
-        return float((2.0 / (max(self._number("Ns", 0.0), 0.0) + 2.0)) ** 0.25)
+        return float(np.clip(self._number("d", 1.0 - self._number("Tr", 0.0)), 0.0, 1.0))
 
     def _number(self, key: str, default: float) -> float:
         return self._values.get(key, (default,))[0]
@@ -442,22 +403,6 @@ class _Reader:
         red, green, blue = np.clip(self._values.get(key, default), 0.0, 1.0).tolist()
         return (red, green, blue)
 
-    def _warn(self, text: str) -> None:
-        warnings.warn(
-            f"material {shown(self._name)!r}: {shown(text, 300)}", LumitreeWarning, stacklevel=2
-        )
-
-
-def without_mtl(name: str, coloured: bool) -> tuple[Material, RGB | None]:
-    """Grey or the vertex colours, and their factor, for a material that no MTL file describes."""
-    surface = Diffuse(VertexColour()) if coloured else dataclasses.replace(GREY)
-    return Material(name, surface, two_sided=True), WHITE if coloured else None
-
-
-def emits(source: MtlMaterial) -> bool:
-    """Whether an MTL block describes a material that emits."""
-    return "map_Ke" in source.maps or max(source.values.get("Ke", (0.0,))) > 0
-
 
 def _colour(image: DecodedImage) -> NDArray[np.uint8]:
     return np.ascontiguousarray(image.pixels[..., :3])
@@ -467,7 +412,7 @@ def _value(image: DecodedImage) -> NDArray[np.uint8]:
     return np.ascontiguousarray(image.pixels[..., :1])
 
 
-def _radiance(image: DecodedImage, factor: tuple[float, ...]) -> NDArray[np.float32]:
+def _radiance(image: DecodedImage, factor: RGB) -> NDArray[np.float32]:
     """Linear values [H, W, 3] of sRGB-encoded bytes, times a factor."""
     linear = linear_from_srgb(np.arange(256)[:, None] / 255)
     return looked_up((linear * factor).astype(np.float32), image.pixels[..., :3])

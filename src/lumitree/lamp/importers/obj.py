@@ -19,10 +19,8 @@ from lumitree.lamp.importers.faults import kept_faces, warn_of_repeated, with_re
 from lumitree.lamp.importers.mtl import (
     MtlMaterial,
     ObjFolder,
-    emits,
     material,
     parse_mtl,
-    without_mtl,
 )
 from lumitree.lamp.importers.obj_text import ObjFile, parse_obj
 from lumitree.lamp.importers.polygons import triangulate
@@ -30,7 +28,6 @@ from lumitree.lamp.importers.topology import (
     CREASE,
     Indices,
     Pieces,
-    count_solids,
     crease_normals,
     face_normals,
     faces_to_turn,
@@ -39,7 +36,7 @@ from lumitree.lamp.importers.topology import (
     weld,
 )
 from lumitree.lamp.meshes import Floats, Mesh, by_handedness
-from lumitree.lamp.parts import RGB, Geometry, Material, Names, Part, Texture, check_shapes
+from lumitree.lamp.parts import Geometry, Material, Names, Part, Texture, check_shapes
 
 # Sharpest angle, degrees, across which shading is smooth in a file that does not ask for it: faces
 # of one plane share their vertices.
@@ -144,16 +141,19 @@ def _mesh(
     faces[flip], corners[flip] = faces[flip][:, ::-1], corners[flip][:, ::-1]
     crease = CREASE if file.smooths else _FLAT
     index, normals = _normals(positions, faces, corners, given, triangles.groups, crease)
-    uv = corners[..., 1].ravel()
-    has_uv = bool((uv >= 0).any())
-    keys = [corners[..., 0].ravel(), uv, index.ravel()]
-    used, vertex = _distinct(keys)
+    used, vertex = _distinct([corners[..., 0].ravel(), corners[..., 1].ravel(), index.ravel()])
+    given = used[:, 1] >= 0
+    uv = np.zeros((len(used), 2))
+    # v is counted from the first row; it is 0 where there are no texture coordinates.
+    uv[given] = file.uv[used[given, 1]] * [1, -1] + [0, 1]
+    # White changes nothing.
+    colours = None if file.colours is None else file.colours[used[:, 0]]
     return Mesh(
         vertices=file.positions[used[:, 0]],
         normals=normals[used[:, 2]],
         faces=vertex.reshape(-1, 3),
-        uv=_flipped(file.uv, used[:, 1]) if has_uv else None,
-        colours=_colours(file, used[:, 0]),
+        uv=uv if given.any() else None,
+        colours=None if colours is None or (colours == 1).all() else colours,
     )
 
 
@@ -168,13 +168,6 @@ def _turned(
         against = np.bincount(pieces.label, towards, minlength=len(pieces.closed)) < 0
         flip |= (against & ~pieces.closed)[pieces.label]
     return flip
-
-
-def _colours(file: ObjFile, vertices: Indices) -> Floats | None:
-    """Colours of some vertices; None if all are white, which changes nothing."""
-    if file.colours is None or (file.colours[vertices] == 1).all():
-        return None
-    return file.colours[vertices]
 
 
 def _normals(
@@ -218,14 +211,6 @@ def _looked_up(given: Floats, corners: Indices) -> Floats:
     return np.where(index[..., None] >= 0, normals[index], 0.0)
 
 
-def _flipped(uv: Floats, index: Indices) -> Floats:
-    """Texture coordinates [V, 2] with v counted from the first row; 0 where there are none."""
-    found = np.zeros((len(index), 2))
-    given = index >= 0
-    found[given] = uv[index[given]] * [1, -1] + [0, 1]
-    return found
-
-
 def _distinct(keys: list[Indices]) -> tuple[Indices, Indices]:
     """Distinct rows [U, K] of the columns, and the row [N] of each entry."""
     first, index = np.arange(len(keys[0])), np.zeros(len(keys[0]), np.int64)
@@ -255,7 +240,7 @@ def read_obj(path: str | os.PathLike[str], emitting: Collection[str] = ()) -> Ge
     file = parse_obj(path)
     folder = ObjFolder(path)
     library = _library(file, folder)
-    lit = [name for name, source in library.items() if emits(source)]
+    lit = [name for name, source in library.items() if source.emits]
     meshes = build_meshes(file, {*lit, *emitting})
     if not meshes:
         warnings.warn(f"{path}: no face has any area", LumitreeWarning, stacklevel=2)
@@ -277,49 +262,28 @@ def read_obj(path: str | os.PathLike[str], emitting: Collection[str] = ()) -> Ge
     for name, (number, mesh) in zip(names, meshes.items(), strict=True):
         title = file.materials[number] or _UNNAMED
         source = library.get(file.materials[number])
-        made, factor = _material(title, source, mesh, folder)
+        made, factor = material(title, source, mesh, folder)
         colours = None if mesh.colours is None or factor is None else mesh.colours * factor
-        coloured = dataclasses.replace(mesh, colours=colours)
-        pieces = by_handedness(coloured, made.normal_map is not None)
+        mesh = dataclasses.replace(mesh, colours=colours)
+        pieces = by_handedness(mesh, made.normal_map is not None)
         for count, (piece, mirrored) in enumerate(pieces):
             used = made
-            if mirrored:
-                own = titles.unique(f"{title} mirrored")
-                used = dataclasses.replace(made, name=own, normal_map=_turned_map(made.normal_map))
+            if mirrored and made.normal_map is not None:
+                used = dataclasses.replace(
+                    made,
+                    name=titles.unique(f"{title} mirrored"),
+                    normal_map=_mirrored(made.normal_map),
+                )
             materials[used.name] = used
             parts.append(Part(taken.unique(name) if count else name, piece, used.name))
     return Geometry(tuple(parts), tuple(materials.values()))
 
 
-def _turned_map(normal_map: Texture | None) -> Texture | None:
+def _mirrored(normal_map: Texture) -> Texture:
     """A normal map with its second axis turned round."""
-    if normal_map is None:
-        return None
     pixels = normal_map.pixels.copy()
     pixels[..., 1] = 255 - pixels[..., 1]
     return dataclasses.replace(normal_map, pixels=pixels)
-
-
-def _material(
-    title: str, source: MtlMaterial | None, mesh: Mesh, folder: ObjFolder
-) -> tuple[Material, RGB | None]:
-    """A material, and the factor of its mesh's vertex colours; None where it ignores them."""
-    coloured = mesh.colours is not None
-    if source is None:
-        return without_mtl(title, coloured)
-
-    def closed_throughout() -> bool:
-        closed, pieces = count_solids(mesh)
-        if 0 < closed < pieces:
-            warnings.warn(
-                f"material {shown(title)!r}: {closed} of {pieces} pieces are closed, the others "
-                "are not; all are taken to be thin sheets of glass",
-                LumitreeWarning,
-                stacklevel=2,
-            )
-        return closed == pieces
-
-    return material(title, source, closed_throughout, coloured, folder)
 
 
 def _library(file: ObjFile, folder: ObjFolder) -> dict[str, MtlMaterial]:
@@ -335,17 +299,13 @@ def _library(file: ObjFile, folder: ObjFolder) -> dict[str, MtlMaterial]:
     found: dict[str, MtlMaterial] = {}
     for path in paths:
         for name, entry in parse_mtl(path).items():
-            found.setdefault(name, _with_images_beside(entry, path, folder))
+            # Images beside the MTL file, where that is in a folder below.
+            maps = {
+                key: dataclasses.replace(each, file=folder.name_beside(path, each.file))
+                for key, each in entry.maps.items()
+            }
+            found.setdefault(name, dataclasses.replace(entry, maps=maps))
     return found
-
-
-def _with_images_beside(material: MtlMaterial, library: Path, folder: ObjFolder) -> MtlMaterial:
-    """A material whose maps are those beside its MTL file, where that is in a folder below."""
-    maps = {
-        key: dataclasses.replace(entry, file=folder.name_beside(library, entry.file))
-        for key, entry in material.maps.items()
-    }
-    return dataclasses.replace(material, maps=maps)
 
 
 def part_names(titles: Iterable[str]) -> list[str]:

@@ -3,11 +3,9 @@
 import dataclasses
 import re
 import warnings
-from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lumitree.core.images import linear_from_srgb
 from lumitree.core.reading import read_bytes
@@ -25,208 +23,12 @@ _MAX_NUMBERS = 16
 # If a vertex colour is above the first, all are in [0, 255]; above the second is no rounding.
 _BYTES_ABOVE, _CLIPPED_ABOVE = 2.0, 1.01
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
-
-
-def read_table(
-    lines: list[bytes], key: bytes, fewest: int, error: Callable[[int, str], LumitreeError]
-) -> tuple[Floats, bool]:
-    """The numbers of lines that begin with `key`, and whether they have decimal commas.
-
-    The array is [N, W], W at least `fewest`, which each line must have; NaN where a line has fewer
-    numbers than others. `error` takes the number of a line and a message.
-    """
-    if not lines:
-        return np.zeros((0, fewest)), False
-    values, commas = _uniform(lines, key, fewest), False
-    if values is None:
-        values, commas = _ragged(lines, key, fewest, error)
-    bad = (np.abs(values) > MAX_COORDINATE).any(axis=1) | np.isnan(values[:, :fewest]).any(axis=1)
-    if bad.any():
-        raise error(int(bad.argmax()), f"a value is not finite or beyond {MAX_COORDINATE:g}")
-    return values, commas
-
-
-def vertex_colours(rows: Floats) -> tuple[Floats | None, list[str]]:
-    """Linear RGB of vertices [V, 3], and a list of what is left out of their lines.
-
-    After x, y and z a line [V, W] may have a weight, a colour, or both: `w`, `r g b`, `w r g b`.
-    Where each fourth of seven numbers is not 1, the seventh is an opacity: `r g b a`. Colours are
-    sRGB-encoded, in [0, 1] or in [0, 255]. White where a line has none; None where no line has one.
-    """
-    count = (~np.isnan(rows)).sum(axis=1)
-    left_out = []
-    four, six, seven = count == 4, count == 6, count == 7
-    weighted = bool(seven.any() and (rows[seven, 3] == 1).all())
-    weights = rows[four, 3] if four.any() else np.ones(0)
-    if (weights != 1).any():
-        left_out.append("weights of vertices")
-    if seven.any() and not weighted and (rows[seven, 6] != 1).any():
-        left_out.append("opacities of vertices")
-    if ((count == 5) | (count > 7)).any():
-        left_out.append("what follows the positions of vertices with 5 or more than 7 numbers")
-    coloured = six | seven
-    if not coloured.any():
-        return None, left_out
-    encoded = np.ones((len(rows), 3))
-    encoded[six] = rows[six, 3:6]
-    if seven.any():
-        encoded[seven] = rows[seven, 4:7] if weighted else rows[seven, 3:6]
-    if encoded.max() > _BYTES_ABOVE:
-        encoded[coloured] /= 255
-    if encoded.min() < 0 or encoded.max() > _CLIPPED_ABOVE:
-        left_out.append("vertex colours beyond 0 to 1, and 0 to 255 (clipped)")
-    return _linear(np.clip(encoded, 0, 1)), left_out
-
-
-def painted_colours(blocks: Sequence[bytes], count: int) -> Floats | None:
-    """Linear RGB [count, 3] of ZBrush's `#MRGB` comments; None if they are not as many.
-
-    Each vertex has eight hexadecimal digits: a mask, which is not used, R, G and B, sRGB-encoded.
-    """
-    try:
-        values = np.frombuffer(bytes.fromhex(b"".join(blocks).decode("ascii")), np.uint8)
-    except ValueError:
-        return None
-    if len(values) != 4 * count:
-        return None
-    return _linear(values.reshape(-1, 4)[:, 1:] / 255)
-
-
-def readable(text: bytes) -> str:
-    """Text of a file that does not say how it is encoded, without control characters."""
-    try:
-        decoded = text.decode("utf-8")
-    except UnicodeDecodeError:
-        decoded = text.decode("latin-1")
-    return shown(decoded, len(decoded))
-
-
-def first_failing(words: Sequence[bytes], convert: Callable[[bytes], object]) -> int:
-    """Index of the first word for which `convert` raises ValueError or OverflowError."""
-    for at, word in enumerate(words):
-        try:
-            convert(word)
-        except (ValueError, OverflowError):
-            return at
-    raise AssertionError("no word fails")
-
-
-def with_point(word: str) -> str:
-    """A number with a decimal comma as one with a point; anything else unchanged."""
-    return word.replace(",", ".") if _DECIMAL_COMMA.fullmatch(word) else word
-
-
-def _linear(encoded: Floats) -> Floats:
-    return linear_from_srgb(encoded).astype(np.float64)
-
-
-def _uniform(lines: list[bytes], key: bytes, fewest: int) -> Floats | None:
-    """The numbers of lines that are all alike; None if they are not."""
-    words = b" ".join(lines).split()
-    width = len(words) // len(lines) - 1
-    if not fewest <= width <= _MAX_NUMBERS or len(words) != len(lines) * (width + 1):
-        return None
-    if set(words[:: width + 1]) != {key}:
-        return None
-    del words[:: width + 1]
-    try:
-        values = np.array(list(map(float, words))).reshape(-1, width)
-    except ValueError:
-        return None
-    return None if np.isnan(values).any() else values
-
-
-def _ragged(
-    lines: list[bytes], key: bytes, fewest: int, error: Callable[[int, str], LumitreeError]
-) -> tuple[Floats, bool]:
-    """The numbers of any lines, NaN where there is none, and whether they have decimal commas."""
-    rows = [_row(line, key, fewest, at, error) for at, line in enumerate(lines)]
-    commas = not any(b"." in word for row in rows for word in row)
-    commas &= any(b"," in word for row in rows for word in row)
-    values = np.full((len(rows), max(map(len, rows))), np.nan)
-    for at, row in enumerate(rows):
-        for column, word in enumerate(row):
-            try:
-                values[at, column] = float(with_point(readable(word)) if commas else word)
-            except ValueError:
-                if column >= fewest:
-                    break
-                advice = "; write decimal points in all numbers" if b"," in word else ""
-                found = shown(readable(word))
-                raise error(at, f"{found!r} is not a number{advice}") from None
-    return values, commas
-
-
-def _row(
-    line: bytes, key: bytes, fewest: int, at: int, error: Callable[[int, str], LumitreeError]
-) -> list[bytes]:
-    """The words after the key of a line that may end in a comment."""
-    row = line.partition(b"#")[0].split()
-    if row[:1] != [key]:
-        raise error(at, f"a line begins with {shown(readable(line.split()[0]))!r}")
-    if len(row) <= fewest:
-        advice = ", separated by spaces" if b"," in line else ""
-        found = f"{len(row) - 1} numbers after {readable(key)!r}"
-        raise error(at, f"{found}; expected {fewest}{advice}")
-    return row[1 : _MAX_NUMBERS + 1]
-
-
-@dataclasses.dataclass(frozen=True)
-class Corners:
-    """Distinct corners as a file writes them, such as 1/2/3.
-
-    Attributes:
-        indices: [S, 3] position, texture coordinate and normal, from 0; -1 where the last two are
-            missing.
-        absent: [S, 2] whether a texture coordinate, and a normal, is named that is not there.
-        wrong: the first corner that cannot be read; None if there is none.
-        reason: why it cannot.
-    """
-
-    indices: Indices
-    absent: np.ndarray
-    wrong: int | None = None
-    reason: str = ""
-
-
-def read_corners(spellings: list[bytes], counts: tuple[int, int, int]) -> Corners:
-    """Read distinct corners of a file with so many positions, texture coordinates and normals."""
-    fields = [word.split(b"/") for word in spellings]
-    read = np.full((len(fields), 3), -1, np.int64)
-    absent = np.zeros((len(fields), 3), bool)
-    for column in range(3):
-        words = [row[column] if len(row) > column else b"" for row in fields]
-        try:
-            read[:, column] = [_index(word) for word in words]
-        except (ValueError, OverflowError):
-            at = first_failing(words, _index)
-            reason = "is not of the form 1, 1/2, 1//3 or 1/2/3"
-            return Corners(read, absent[:, 1:], at, reason)
-        given = np.array([bool(word) for word in words])
-        absent[:, column] = (read[:, column] < 0) | (read[:, column] >= counts[column])
-        if column > 0:
-            read[absent[:, column], column] = -1
-            absent[:, column] &= given
-        elif absent[:, 0].any():
-            reason = f"names a position that is not there; the file has {counts[0]} positions"
-            return Corners(read, absent[:, 1:], int(absent[:, 0].argmax()), reason)
-    too_long = [at for at, row in enumerate(fields) if len(row) > 3]
-    if too_long:
-        return Corners(read, absent[:, 1:], too_long[0], "has more than three indices")
-    return Corners(read, absent[:, 1:])
-
-
-def _index(word: bytes) -> np.int64:
-    """Index of a corner, counted from 0; -1 for none."""
-    return np.int64(int(word) - 1 if word else -1)
-
-
 # Faces are grouped by material alone.
 _GROUPS = (b"g", b"o", b"mg")
 _FREE_FORM = (b"vp", b"cstype", b"deg", b"bmat", b"step", b"curv", b"curv2", b"surf", b"parm")
 _FREE_FORM += (b"trim", b"hole", b"scrv", b"sp", b"end", b"con", b"bzp", b"bsp", b"cdc", b"cdp")
-_LEFT_OUT: dict[bytes, str] = {b"l": "lines", b"p": "points"}
-_LEFT_OUT |= dict.fromkeys(_FREE_FORM, "free-form curves and surfaces (export polygons)")
+_UNUSED: dict[bytes, str] = {b"l": "lines", b"p": "points"}
+_UNUSED |= dict.fromkeys(_FREE_FORM, "free-form curves and surfaces (export polygons)")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -268,20 +70,34 @@ def parse_obj(path: Path) -> ObjFile:
     return _Parser(path).parse(read_bytes(path, "an OBJ file", MAX_MODEL_BYTES))
 
 
+def readable(text: bytes) -> str:
+    """Text of a file that does not say how it is encoded, without control characters."""
+    try:
+        decoded = text.decode("utf-8")
+    except UnicodeDecodeError:
+        decoded = text.decode("latin-1")
+    return shown(decoded, len(decoded))
+
+
+def with_point(word: str) -> str:
+    """A number with a decimal comma as one with a point; anything else unchanged."""
+    return word.replace(",", ".") if _DECIMAL_COMMA.fullmatch(word) else word
+
+
 class _Parser:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._lines: list[bytes] = []
         self._values: dict[bytes, list[bytes]] = {b"v": [], b"vt": [], b"vn": []}
         self._faces: list[bytes] = []
-        # Number of the first face that a material or smoothing group holds for.
+        # Number of the first face of a material or smoothing group.
         self._material_runs: list[tuple[int, int]] = []
         self._group_runs: list[tuple[int, int]] = []
         self._materials: dict[str, int] = {}
         self._libraries: list[str] = []
         self._painted: list[bytes] = []
         # Unused properties, for one warning; a dictionary, because sets do not keep their order.
-        self._left_out: dict[str, None] = {}
+        self._unused: dict[str, None] = {}
         self._commas = False
 
     def parse(self, data: bytes) -> ObjFile:
@@ -319,15 +135,15 @@ class _Parser:
         elif key == b"mtllib":
             self._libraries.append(readable(rest))
         elif key == b"s":
-            off = rest in (b"off", b"0", b"")
-            self._group_runs.append((len(self._faces), 0 if off else self._group(rest)))
+            self._group_runs.append((len(self._faces), self._group(rest)))
         elif key not in _GROUPS:
-            text = _LEFT_OUT.get(key) or f"lines of {shown(readable(key))!r}"
-            self._left_out[text] = None
+            self._unused[_UNUSED.get(key) or f"lines of {shown(readable(key))!r}"] = None
 
     def _group(self, text: bytes) -> int:
+        if text in (b"off", b"on", b""):
+            return int(text == b"on")
         try:
-            return 1 if text == b"on" else int(text) % 2**31
+            return int(text) % 2**31
         except ValueError:
             raise LumitreeError(
                 f"{self._path}: smoothing group {shown(readable(text))!r} is neither a number nor "
@@ -355,27 +171,27 @@ class _Parser:
 
     def _finished(self) -> ObjFile:
         if not self._faces:
-            others = f", but {self._shown_left_out()}" if self._left_out else ""
-            raise LumitreeError(
-                f"{self._path} holds no faces{others}; expected an OBJ model of polygons"
-            )
+            others = f", but {self._shown_unused()}" if self._unused else ""
+            raise LumitreeError(f"{self._path} has no faces{others}; expected polygons")
         if not self._material_runs or self._material_runs[0][0] > 0:
             self._material_runs.insert(0, (0, self._materials.setdefault("", len(self._materials))))
         smooths = bool(self._group_runs)
-        if not smooths:
-            self._group_runs.append((0, 1))
-        elif self._group_runs[0][0] > 0:
-            self._group_runs.insert(0, (0, 0))
-        positions, colours = self._vertices()
-        uv, normals = self._texture_coordinates(), self._table(b"vn", 3)[:, :3]
-        corners, sizes = self._corners((len(positions), len(uv), len(normals)))
+        if not smooths or self._group_runs[0][0] > 0:
+            self._group_runs.insert(0, (0, 0 if smooths else 1))
+        rows = self._table(b"v", 3)
+        colours = self._vertex_colours(rows)
+        coordinates = np.nan_to_num(self._table(b"vt", 1))
+        if (coordinates[:, 2:] != 0).any():
+            self._unused["third texture coordinates"] = None
+        uv, normals = np.pad(coordinates, ((0, 0), (0, 1)))[:, :2], self._table(b"vn", 3)[:, :3]
+        corners, sizes = self._corners((len(rows), len(uv), len(normals)))
         if self._commas:
             self._warn("numbers have decimal commas, which are read as decimal points")
-        if self._left_out:
-            self._warn(f"left out: {self._shown_left_out()}")
+        if self._unused:
+            self._warn(f"not used: {self._shown_unused()}")
         return ObjFile(
             path=self._path,
-            positions=positions,
+            positions=rows[:, :3],
             colours=colours,
             uv=uv,
             normals=normals,
@@ -394,32 +210,91 @@ class _Parser:
         return np.repeat(values, np.diff([*starts, len(self._faces)])).astype(np.int64)
 
     def _table(self, key: bytes, fewest: int) -> Floats:
-        """The numbers of every line that begins with `key`, see `read_table`."""
+        """The numbers [N, W] of lines that begin with `key`; NaN where others have more numbers.
 
-        def error(index: int, message: str) -> LumitreeError:
-            return self._error(key, index, message)
-
-        values, commas = read_table(self._values[key], key, fewest, error)
-        self._commas |= commas
+        Each line must have `fewest`.
+        """
+        lines = self._values[key]
+        if not lines:
+            return np.zeros((0, fewest))
+        values = _uniform(lines, key, fewest)
+        if values is None:
+            values = self._ragged(key, fewest)
+        bad = np.abs(values) > MAX_COORDINATE
+        bad[:, :fewest] |= np.isnan(values[:, :fewest])
+        if bad.any():
+            at = int(bad.any(axis=1).argmax())
+            raise self._error(key, at, f"a value is not finite or beyond {MAX_COORDINATE:g}")
         return values
 
-    def _vertices(self) -> tuple[Floats, Floats | None]:
-        """Positions and colours [V, 3]."""
-        rows = self._table(b"v", 3)
-        colours, left_out = vertex_colours(rows)
-        for text in left_out:
-            self._left_out[text] = None
-        if colours is None and self._painted:
-            colours = painted_colours(self._painted, len(rows))
-            if colours is None:
-                self._left_out["#MRGB colours (not one for each vertex)"] = None
-        return rows[:, :3], colours
+    def _ragged(self, key: bytes, fewest: int) -> Floats:
+        """The numbers of any lines, NaN where there is none."""
+        rows = []
+        for at, line in enumerate(self._values[key]):
+            row = line.partition(b"#")[0].split()
+            if row[:1] != [key]:
+                begin = shown(readable(line.split()[0]))
+                raise self._error(key, at, f"a line begins with {begin!r}")
+            if len(row) <= fewest:
+                advice = ", separated by spaces" if b"," in line else ""
+                found = f"{len(row) - 1} numbers after {readable(key)!r}"
+                raise self._error(key, at, f"{found}; expected {fewest}{advice}")
+            rows.append(row[1 : _MAX_NUMBERS + 1])
+        commas = not any(b"." in word for row in rows for word in row)
+        commas &= any(b"," in word for row in rows for word in row)
+        self._commas |= commas
+        values = np.full((len(rows), max(map(len, rows))), np.nan)
+        for at, row in enumerate(rows):
+            for column, word in enumerate(row):
+                try:
+                    values[at, column] = float(with_point(readable(word)) if commas else word)
+                except ValueError:
+                    if column >= fewest:
+                        break
+                    advice = "; write decimal points in all numbers" if b"," in word else ""
+                    found = shown(readable(word))
+                    raise self._error(key, at, f"{found!r} is not a number{advice}") from None
+        return values
 
-    def _texture_coordinates(self) -> Floats:
-        rows = np.nan_to_num(self._table(b"vt", 1))
-        if (rows[:, 2:] != 0).any():
-            self._left_out["third texture coordinates"] = None
-        return np.pad(rows, ((0, 0), (0, 1)))[:, :2]
+    def _vertex_colours(self, rows: Floats) -> Floats | None:
+        """Linear RGB of vertices [V, 3]: white where a line has none; None where no line has one.
+
+        After x, y and z a line [V, W] may have a weight, a colour, or both: `w`, `r g b`,
+        `w r g b`. Where each fourth of seven numbers is not 1, the seventh is an opacity:
+        `r g b a`. Colours are sRGB-encoded, in [0, 1] or in [0, 255]. ZBrush has them in comments
+        `#MRGB`, as eight hexadecimal digits for each vertex: a mask, which is not used, R, G and B.
+        """
+        count = (~np.isnan(rows)).sum(axis=1)
+        four, six, seven = count == 4, count == 6, count == 7
+        weighted = bool(seven.any() and (rows[seven, 3] == 1).all())
+        if four.any() and (rows[four, 3] != 1).any():
+            self._unused["weights of vertices"] = None
+        if seven.any() and not weighted and (rows[seven, 6] != 1).any():
+            self._unused["opacities of vertices"] = None
+        if ((count == 5) | (count > 7)).any():
+            self._unused["numbers after positions of vertices, if 2 or more than 4"] = None
+        coloured = six | seven
+        if not coloured.any():
+            return self._painted_colours(len(rows)) if self._painted else None
+        encoded = np.ones((len(rows), 3))
+        encoded[six] = rows[six, 3:6]
+        if seven.any():
+            encoded[seven] = rows[seven, 4:7] if weighted else rows[seven, 3:6]
+        if encoded.max() > _BYTES_ABOVE:
+            encoded[coloured] /= 255
+        if encoded.min() < 0 or encoded.max() > _CLIPPED_ABOVE:
+            self._unused["vertex colours beyond 0 to 1, and 0 to 255 (clipped)"] = None
+        return linear_from_srgb(np.clip(encoded, 0, 1)).astype(np.float64)
+
+    def _painted_colours(self, count: int) -> Floats | None:
+        try:
+            values = np.frombuffer(bytes.fromhex(b"".join(self._painted).decode("ascii")), np.uint8)
+        except ValueError:
+            values = np.zeros(0)
+        if len(values) != 4 * count:
+            self._unused["#MRGB colours (not one for each vertex)"] = None
+            return None
+        return linear_from_srgb(values.reshape(-1, 4)[:, 1:] / 255).astype(np.float64)
 
     def _corners(self, counts: tuple[int, int, int]) -> tuple[Indices, Indices]:
         """Corners [C, 3] counted from 0, -1 where there is none, and corners of each face [P]."""
@@ -436,37 +311,68 @@ class _Parser:
         # Every face around a corner repeats it: each distinct text is parsed only once.
         spellings = {word: at for at, word in enumerate(dict.fromkeys(words))}
         use = np.array([spellings[word] for word in words])
-        found = read_corners(list(spellings), counts)
-        if found.wrong is not None:
-            face = int(np.searchsorted(np.cumsum(sizes), (use == found.wrong).argmax(), "right"))
-            word = shown(readable(list(spellings)[found.wrong]))
-            raise self._error(b"f", face, f"corner {word!r} {found.reason}")
-        self._warn_of_absent(found.absent[use], counts)
-        return found.indices[use], sizes
-
-    def _warn_of_absent(self, absent: NDArray[np.bool_], counts: tuple[int, int, int]) -> None:
-        kinds = ("texture coordinates", "left out"), ("normals", "computed")
-        for (kind, treated), number, count in zip(
-            kinds, absent.sum(axis=0), counts[1:], strict=True
-        ):
+        rows = []
+        for word in spellings:
+            try:
+                row = [_index(field) for field in word.split(b"/")]
+            except ValueError:
+                row = []
+            if 1 <= len(row) <= 3 and 0 < row[0] <= counts[0]:
+                rows.append(row + [0] * (3 - len(row)))
+                continue
+            reason = "is not of the form 1, 1/2, 1//3 or 1/2/3"
+            if 1 <= len(row) <= 3:
+                reason = f"names a position that is not there; the file has {counts[0]} positions"
+            face = int(np.searchsorted(np.cumsum(sizes), words.index(word), "right"))
+            raise self._error(b"f", face, f"corner {shown(readable(word))!r} {reason}")
+        read = np.array(rows, np.int64)
+        outside = (read < 0) | (read > counts)
+        kinds = (1, "texture coordinates", "not used"), (2, "normals", "computed")
+        for column, kind, treated in kinds:
+            number = int(outside[use, column].sum())
             if number:
                 corners = "1 corner names" if number == 1 else f"{number} corners of faces name"
                 self._warn(
-                    f"{corners} {kind} that are not there (the file has {count}); they are "
-                    f"{treated}"
+                    f"{corners} {kind} that are not there (the file has {counts[column]}); they "
+                    f"are {treated}"
                 )
+        return np.where(outside, -1, read - 1)[use], sizes
 
-    def _shown_left_out(self) -> str:
-        return shown(", ".join(self._left_out), 300)
+    def _shown_unused(self) -> str:
+        return shown(", ".join(self._unused), 300)
 
     def _warn(self, text: str) -> None:
         warnings.warn(f"{shown(self._path, 300)}: {text}", LumitreeWarning, stacklevel=2)
 
     def _error(self, key: bytes, index: int, message: str) -> LumitreeError:
-        """Error in the line that holds element `index` of its kind."""
+        """Error in the line of element `index` of its kind."""
         seen = -1
         for number, line in enumerate(self._lines, 1):
             seen += line.split(None, 1)[:1] == [key]
             if seen == index:
                 return LumitreeError(f"{self._path}, line {number}: {message}")
         return LumitreeError(f"{self._path}: {message}")
+
+
+def _index(field: bytes) -> int:
+    """Index of a corner's field, from 1; 0 for none, and -1 for a stated 0."""
+    index = (int(field) or -1) if field else 0
+    if abs(index) > MAX_COORDINATE:
+        raise ValueError
+    return index
+
+
+def _uniform(lines: list[bytes], key: bytes, fewest: int) -> Floats | None:
+    """The numbers of lines that are all alike; None if they are not."""
+    words = b" ".join(lines).split()
+    width = len(words) // len(lines) - 1
+    if not fewest <= width <= _MAX_NUMBERS or len(words) != len(lines) * (width + 1):
+        return None
+    if set(words[:: width + 1]) != {key}:
+        return None
+    del words[:: width + 1]
+    try:
+        values = np.array(list(map(float, words))).reshape(-1, width)
+    except ValueError:
+        return None
+    return None if np.isnan(values).any() else values
