@@ -3,9 +3,6 @@
 import numpy as np
 import pytest
 
-from lumitree.core.backend import load_mitsuba
-from lumitree.lamp.builtin import BUILTIN
-from lumitree.lamp.luminaire import load_luminaire
 from lumitree.lamp.meshes import Mesh
 from lumitree.lamp.parts import (
     Diffuse,
@@ -16,7 +13,6 @@ from lumitree.lamp.parts import (
     VertexColour,
     figures,
 )
-from support.variant import VARIANT
 
 TRIANGLE = Mesh(
     np.array([[0.0, 0, 0], [1, 0, 0], [0, 2, 0]]),
@@ -31,16 +27,6 @@ def lamp(radiance, surface=None):
     moved = np.eye(4)
     moved[:3, 3] = [3, 0, 1]
     return Geometry((Part("p", TRIANGLE, "m", (np.eye(4), moved)),), (material,))
-
-
-@pytest.mark.parametrize("name", BUILTIN)
-def test_builtin_lamps(name):
-    load_mitsuba(VARIANT)
-    luminaire, found = load_luminaire(name), figures(BUILTIN[name].build())
-    assert found.triangles == luminaire.num_triangles
-    assert found.emitters == luminaire.num_emitters
-    assert found.size == pytest.approx(luminaire.size, rel=1e-4)
-    assert found.has_media == luminaire.has_media
 
 
 def test_copies_count_and_stretch_the_box():

@@ -204,11 +204,9 @@ def opacity_of_faces(opacity: Value, mesh: Mesh) -> Floats:
         return np.full(count, float(opacity))
     if mesh.uv is None:
         return np.full(count, float(_looked_up(opacity, np.zeros((1, 2)))[0]))
-    total, points = np.zeros(count), _points_of_triangle(math.isqrt(_POINTS // max(count, 1)))
-    corners = mesh.uv[mesh.faces]
-    for point in points:
-        total += _looked_up(opacity, np.einsum("c,fcx->fx", point, corners))
-    return total / len(points)
+    points = _points_of_triangle(math.isqrt(_POINTS // max(count, 1)))
+    uv = np.einsum("pc,fcx->pfx", points, mesh.uv[mesh.faces])
+    return _looked_up(opacity, uv.reshape(-1, 2)).reshape(len(points), count).mean(axis=0)
 
 
 def _points_of_triangle(parts: int) -> Floats:
