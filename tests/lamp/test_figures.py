@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from lumitree.asset.materials import VertexColours
 from lumitree.lamp.meshes import Mesh
 from lumitree.lamp.parts import (
     Diffuse,
@@ -10,7 +11,6 @@ from lumitree.lamp.parts import (
     Material,
     Part,
     Texture,
-    VertexColour,
     figures,
 )
 
@@ -39,7 +39,7 @@ def test_copies_count_and_stretch_the_box():
 @pytest.mark.parametrize(
     ("radiance", "largest"),
     [
-        (VertexColour(), 0.9),
+        (VertexColours(), 0.9),
         (Texture(np.full((2, 2, 3), 40.0, np.float32), encoded=False), 40.0),
         (Texture(np.full((2, 2, 3), 51, np.uint8), encoded=False), 0.2),
         # sRGB 128 is 21.586 % of the light.

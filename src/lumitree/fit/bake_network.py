@@ -106,7 +106,7 @@ def bake_network(
             executor=executor,
             progress=progress,
         )
-        from lumitree.fit.network.run import RUN_FILES, has_checkpoint
+        from lumitree.fit.network.train import RUN_FILES, has_checkpoint
 
         run = folder.path / "run"
         training = dataclasses.replace(config.train, seed=config.seed)
@@ -175,7 +175,7 @@ def capture(
     check_executor(executor)
     load_rgb(variant)
     from lumitree.lamp.luminaire import lamp_workers, load_luminaire
-    from lumitree.trace.capture import capture as capture_views
+    from lumitree.trace.cameras import capture as capture_views
 
     watch = Stopwatch()
     with reporting(progress), watch.stage("capture"):

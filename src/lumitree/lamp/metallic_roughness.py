@@ -56,8 +56,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.asset.materials import MetallicRoughness
 from lumitree.core.device import on_device, parameter
-from lumitree.lamp.parts import METALLIC_ROUGHNESS
 
 Floats = NDArray[np.float64]
 
@@ -527,7 +527,7 @@ class _Point:
 def register() -> None:
     """Register the BSDF with the variant of Mitsuba that is set; harmless when repeated."""
     if mi.variant() not in _registered:
-        mi.register_bsdf(METALLIC_ROUGHNESS, _bsdf_class())
+        mi.register_bsdf(MetallicRoughness.plugin, _bsdf_class())
         _registered.add(mi.variant())
 
 

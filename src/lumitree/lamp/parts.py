@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.asset.materials import VertexColours
 from lumitree.core.images import linear_from_srgb
 from lumitree.core.photometry import RGB
 from lumitree.errors import LumitreeError, shown, shown_names
@@ -53,15 +54,8 @@ class Texture:
         return linear_from_srgb(pixels) if self.encoded else pixels
 
 
-@dataclasses.dataclass(frozen=True)
-class VertexColour:
-    """The linear colours stored with the mesh's vertices."""
-
-
-Colour = RGB | Texture | VertexColour
+Colour = RGB | Texture | VertexColours
 Value = float | Texture
-# Name of the BSDF by which Mitsuba renders `Principled`; see `lamp.metallic_roughness`.
-METALLIC_ROUGHNESS = "lumitree_metallic_roughness"
 Microfacets = Literal["ggx", "beckmann"]
 
 
@@ -190,9 +184,9 @@ def painted(surface: Surface) -> Surface | None:
     """The surface with the colours of its mesh's vertices; None for one that has no such colour."""
     match surface:
         case Diffuse():
-            return Diffuse(VertexColour())
+            return Diffuse(VertexColours())
         case Principled():
-            return dataclasses.replace(surface, base_color=VertexColour())
+            return dataclasses.replace(surface, base_color=VertexColours())
         case _:
             return None
 
@@ -299,7 +293,7 @@ def _largest(radiance: Colour | None, mesh: Mesh) -> float:
     """The largest channel of a radiance on a mesh."""
     if isinstance(radiance, Texture):
         return float(radiance.linear().max())
-    if isinstance(radiance, VertexColour):
+    if isinstance(radiance, VertexColours):
         return 0.0 if mesh.colours is None else float(mesh.colours.max())
     return max(radiance or (0.0,))
 

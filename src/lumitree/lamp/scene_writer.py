@@ -13,7 +13,8 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.textures import Json
+from lumitree.asset import materials as asset_materials
+from lumitree.asset.materials import MetallicRoughness, VertexColours
 from lumitree.core.backend import load_mitsuba, second_thread
 from lumitree.core.files import atomic_path
 from lumitree.core.frames import is_far, similarity
@@ -23,7 +24,6 @@ from lumitree.core.system import accepts_name
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.lamp.meshes import Floats, Mesh
 from lumitree.lamp.parts import (
-    METALLIC_ROUGHNESS,
     RGB,
     WHITE,
     Colour,
@@ -39,7 +39,6 @@ from lumitree.lamp.parts import (
     Surface,
     Texture,
     Value,
-    VertexColour,
     transmits,
 )
 from lumitree.lamp.scene_file import register_metallic_roughness
@@ -67,7 +66,7 @@ class MaskedEmission:
         radiance, opacity = material.radiance, material.opacity
         if radiance is None or (not isinstance(opacity, Texture) and opacity == 0):
             return None
-        if isinstance(radiance, VertexColour) or opacity == 1:
+        if isinstance(radiance, VertexColours) or opacity == 1:
             return radiance
         if not isinstance(radiance, Texture):
             if isinstance(opacity, Texture):
@@ -115,15 +114,17 @@ class MaskedEmission:
         return dataclasses.replace(placed, pixels=self._made[key], encoded=False)
 
 
-def normal_reflectance(material: Json) -> list[float]:
+def normal_reflectance(metal: asset_materials.Metal) -> list[float]:
     """Reflectance [3] of a conductor at normal incidence, by Fresnel's equations."""
     mi = load_mitsuba()
-    given = {name: material[name] for name in ("material", "eta", "k") if name in material}
-    if any(isinstance(value, dict) for value in given.values()):
+    given = {"material": metal.material, "eta": metal.eta, "k": metal.k}
+    images = asset_materials.Texture | VertexColours
+    if any(isinstance(value, images) for value in given.values()):
         return [1.0, 1.0, 1.0]
     colours = {
-        name: {"type": "rgb", "value": value} if isinstance(value, list) else value
+        name: {"type": "rgb", "value": list(value)} if isinstance(value, tuple) else value
         for name, value in given.items()
+        if value is not None
     }
     parameters = mi.traverse(mi.load_dict({"type": "conductor", **colours}))
     eta, k = (
@@ -248,7 +249,7 @@ class _Writer:
     def _metal(self, parent: Element, metal: Metal, name: dict[str, str]) -> None:
         rough = metal.roughness >= _SMOOTH
         if rough and metal.microfacets == "ggx":
-            reflectance = normal_reflectance({"material": metal.conductor})
+            reflectance = normal_reflectance(asset_materials.Conductor(material=metal.conductor))
             colour = tuple((np.array(metal.tint) * reflectance).tolist())
             surface = Principled(colour, metallic=1.0, roughness=metal.roughness)
             self._principled(parent, surface, name)
@@ -279,7 +280,7 @@ class _Writer:
             _rgb(bsdf, "specular_transmittance", glass.tint)
 
     def _principled(self, parent: Element, surface: Principled, name: dict[str, str]) -> None:
-        bsdf = SubElement(parent, "bsdf", {"type": METALLIC_ROUGHNESS, **name})
+        bsdf = SubElement(parent, "bsdf", {"type": MetallicRoughness.plugin, **name})
         self._colour(bsdf, "base_color", surface.base_color)
         for parameter, attribute in _PRINCIPLED.items():
             self._value(bsdf, parameter, getattr(surface, attribute))
@@ -289,7 +290,7 @@ class _Writer:
         match colour:
             case Texture():
                 self._texture(parent, name, colour)
-            case VertexColour():
+            case VertexColours():
                 texture = SubElement(parent, "texture", type="mesh_attribute", name=name)
                 _add(texture, "string", "name", VERTEX_COLOUR)
             case _:

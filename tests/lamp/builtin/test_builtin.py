@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import trimesh
 
-from lumitree.asset.geometry_media import scattering_sides
 from lumitree.core.device import on_device
 from lumitree.core.mitsuba_meshes import make_mesh
 from lumitree.errors import LumitreeError
@@ -16,7 +15,7 @@ from lumitree.lamp.read_source import scene_path
 from lumitree.lamp.scene_writer import write_scene
 from lumitree.lamp.source import as_source
 from lumitree.lamp.stored_geometry import stored_geometry
-from lumitree.trace.capture import capture
+from lumitree.trace.cameras import capture
 from support.slow import slow_but
 
 
@@ -115,7 +114,7 @@ def test_its_figures_are_those_of_its_scene(mi, models, name):
     box = lamp.scene.bbox()
     assert (box.min if name == "arc" else box.max)[1] == pytest.approx(0, abs=1e-6)
     geometry = stored_geometry(lamp)
-    scatters = any(map(scattering_sides, geometry.shapes))
+    scatters = any(shape.scatters for shape in geometry.shapes)
     assert (geometry.has_media, scatters) == (lamp.has_media, lamp.scatters)
 
 

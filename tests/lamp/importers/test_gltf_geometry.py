@@ -7,12 +7,13 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
+from lumitree.asset.materials import VertexColours
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.lamp import parts as model_module
 from lumitree.lamp.importers.gltf import oriented_outwards, read_gltf
 from lumitree.lamp.importers.gltf_lights import LIGHT_RADIUS
 from lumitree.lamp.luminaire import load_luminaire
-from lumitree.lamp.parts import Glass, VertexColour
+from lumitree.lamp.parts import Glass
 from support.gltf_builder import QUAD, QUAD_FACES, QUAD_UV, Gltf, box, sphere
 
 CLEAR = {
@@ -174,7 +175,7 @@ def test_normalised_texture_coordinates_and_colours(tmp_path, dtype, largest):
     model = read_gltf(gltf.save(tmp_path))
     np.testing.assert_allclose(model.parts[0].mesh.uv, QUAD_UV[QUAD_FACES.ravel()], atol=1e-6)
     np.testing.assert_allclose(model.parts[0].mesh.colours, [[0, 0.2, 0.4]] * 6, atol=1e-6)
-    assert isinstance(model.materials[0].surface.base_color, VertexColour)
+    assert isinstance(model.materials[0].surface.base_color, VertexColours)
 
 
 def test_quantised_positions(tmp_path):

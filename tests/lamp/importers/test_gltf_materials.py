@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from lumitree.asset.materials import VertexColours
 from lumitree.core.images import linear_from_srgb
 from lumitree.errors import LumitreeError
 from lumitree.lamp.importers.gltf import read_gltf
-from lumitree.lamp.parts import Principled, Texture, VertexColour
+from lumitree.lamp.parts import Principled, Texture
 from support.gltf_builder import QUAD, QUAD_FACES, QUAD_UV, Gltf, box
 from support.gltf_materials import RAMP, extended, material_of, read_only
 
@@ -176,7 +177,7 @@ def test_vertex_colours_times_factors(tmp_path):
     colours = np.eye(4)[:, :3]
     coloured(gltf, fields, colours)
     model = read_only(gltf.save(tmp_path))
-    assert isinstance(model.materials[0].surface.base_color, VertexColour)
+    assert isinstance(model.materials[0].surface.base_color, VertexColours)
     expected = colours[QUAD_FACES.ravel()] * (0.5, 1, 0.2)
     np.testing.assert_allclose(model.parts[0].mesh.colours, expected)
 

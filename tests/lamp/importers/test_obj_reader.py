@@ -5,10 +5,11 @@ import pytest
 import trimesh
 from PIL import Image
 
+from lumitree.asset.materials import VertexColours
 from lumitree.errors import LumitreeWarning
 from lumitree.lamp.importers.obj import read_obj
 from lumitree.lamp.importers.topology import count_solids
-from lumitree.lamp.parts import Diffuse, Glass, Metal, Principled, Texture, VertexColour
+from lumitree.lamp.parts import Diffuse, Glass, Metal, Principled, Texture
 
 QUAD = "v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
 
@@ -120,7 +121,7 @@ PAINTED = "v -1 -1 0 1 0 0\nv 1 -1 0 1 0 0\nv 1 1 0 0 0 1\nv -1 1 0 0 0 1\nvt 0 
 def test_vertex_colours_times_kd(model, tmp_path):
     text = PAINTED + "usemtl a\nf 1/1 2/1 3/1 4/1"
     lamp = model(text, "newmtl a\nKd 0.5 0.5 0.25\nKe 1 2 3")
-    assert lamp.materials[0].surface == Diffuse(VertexColour())
+    assert lamp.materials[0].surface == Diffuse(VertexColours())
     assert lamp.materials[0].radiance == (1, 2, 3)
     mesh = lamp.parts[0].mesh
     np.testing.assert_allclose(mesh.colours[mesh.vertices[:, 1] < 0], [[0.5, 0, 0]] * 2)
@@ -128,9 +129,9 @@ def test_vertex_colours_times_kd(model, tmp_path):
     # Without Kd the colours are the vertices' own.
     assert model(text, "newmtl a").parts[0].mesh.colours.max() == 1
     glossy = model(text, "newmtl a\nKs 0.5 0.5 0.5").materials[0].surface
-    assert glossy.base_color == VertexColour()
+    assert glossy.base_color == VertexColours()
     with pytest.warns(LumitreeWarning, match="or to have the colours of its vertices"):
-        assert model(text).materials[0].surface == Diffuse(VertexColour())
+        assert model(text).materials[0].surface == Diffuse(VertexColours())
 
 
 def test_vertex_colours_that_are_not_used(model, tmp_path):

@@ -29,6 +29,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.asset.materials import VertexColours
 from lumitree.core.images import linear_from_srgb
 from lumitree.core.reading import read_bytes
 from lumitree.core.text import in_utf8
@@ -56,7 +57,6 @@ from lumitree.lamp.parts import (
     Surface,
     Texture,
     Value,
-    VertexColour,
     painted,
 )
 
@@ -250,7 +250,7 @@ def material(
     """
     coloured = mesh.colours is not None
     if source is None:
-        surface = Diffuse(VertexColour() if coloured else _GREY)
+        surface = Diffuse(VertexColours() if coloured else _GREY)
         return Material(name, surface, two_sided=True), WHITE if coloured else None
     return _Reader(name, source, mesh, folder).read(coloured)
 

@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from lumitree.asset.measured import CONDUCTORS
+from lumitree.asset.materials import CONDUCTORS
 from lumitree.core.frames import similarity
 from lumitree.core.photometry import (
     MAX_TEMPERATURE,
