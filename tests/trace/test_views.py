@@ -187,9 +187,9 @@ def test_rays_of_the_camera_are_those_of_the_dataset(luminaire, tmp_path):
 @pytest.mark.parametrize(
     ("body", "message"),
     [
-        ("", "holds no shapes"),
-        ('<shape type="sphere"/>', "holds no emitter"),
-        (SPHERE.format(AREA) + '<emitter type="constant"/>', "environment light .constant"),
+        ("", "no shapes"),
+        ('<shape type="sphere"/>', "no emitter"),
+        (SPHERE.format(AREA) + '<emitter type="constant"/>', "constant"),
         (SPHERE.format(AREA) + '<emitter type="point"/>', "without a surface .point"),
         (
             '<shape type="ply"><string name="filename" value="no.ply"/>' + AREA + "</shape>",

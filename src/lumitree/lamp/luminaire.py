@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.backend import load_mitsuba
-from lumitree.core.dataset import MANIFEST
+from lumitree.core.executor import packed, unpacked
 from lumitree.core.frames import LocalFrame, float32_step, is_far
 from lumitree.core.mitsuba_meshes import mesh_vertices
-from lumitree.core.packing import packed, unpacked
 from lumitree.core.turns import in_turn
 from lumitree.errors import LumitreeError, LumitreeWarning, shown, shown_names
 from lumitree.lamp.builtin import BUILTIN
@@ -27,13 +26,12 @@ from lumitree.lamp.read_source import (
     check_emitters,
     fingerprint_of,
     luminaire_source,
-    named_files,
     open_scene_file,
 )
-from lumitree.lamp.scene_file import SceneFile, scene_names
+from lumitree.lamp.scene_file import SceneFile
 from lumitree.lamp.scene_shapes import SceneShape, check_evaluates, shape_of_object
 from lumitree.lamp.scene_writer import model_shapes
-from lumitree.lamp.source import LuminaireSource, dataset_folder, gldf_variant, source_kind
+from lumitree.lamp.source import LuminaireSource
 
 if TYPE_CHECKING:
     from lumitree.lamp.emitting_surfaces import EmittingSurfaces
@@ -375,30 +373,3 @@ def absolute_source(source: Any) -> Any:
     if isinstance(source, str | os.PathLike) and os.fspath(source) not in BUILTIN:
         return os.path.abspath(source)
     return source
-
-
-def source_files(source: LuminaireSource, luminaire: Luminaire | None) -> list[Path] | None:
-    """The files on which a luminaire depends, in order.
-
-    Args:
-        source: what was loaded.
-        luminaire: the same, loaded; None for photometric files and datasets.
-
-    Returns:
-        Paths, also of files that are missing and would be read; None where the files are not
-        known: of built-in luminaires, and of scenes whose names have parameters.
-    """
-    if source.name in BUILTIN:
-        return None
-    if source_kind(source) == "photometric":
-        return [Path(gldf_variant(source.name)[0])]
-    if (dataset := dataset_folder(source)) is not None:
-        return [dataset / MANIFEST]
-    path = Path(source.name)
-    if path.suffix.lower() == ".xml":
-        names = scene_names(path)
-        if luminaire is None or not names.complete:
-            return None
-        return sorted(names.files | set(luminaire.parsed.references()))
-    overrides = path.with_suffix(".toml") if source.materials is None else Path(source.materials)
-    return sorted({path, overrides, *named_files(source)})

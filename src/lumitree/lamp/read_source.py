@@ -14,8 +14,8 @@ from typing import Any
 
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.file_kinds import what_it_is
+from lumitree.core.files import ScratchFolder
 from lumitree.core.reading import read_bytes
-from lumitree.core.work_folder import ScratchFolder
 from lumitree.errors import LumitreeError, shown, shown_names
 from lumitree.lamp.builtin import BUILTIN
 from lumitree.lamp.importers.faults import warn_of_likely_faults, without_repeated
@@ -223,11 +223,6 @@ def scene_path(source: LuminaireSource) -> tuple[Path, ScratchFolder | None]:
             )
         return path, getattr(source, "folder", None)
     return _written_model(source)[:2]
-
-
-def named_files(source: LuminaireSource) -> frozenset[Path]:
-    """The files that a model has named when its scene was written, also missing ones."""
-    return frozenset(Path(name) for name, *_ in _written_model(source)[2])
 
 
 def _written_model(source: LuminaireSource) -> tuple[Path, ScratchFolder, tuple[Stamp, ...]]:

@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 from lumitree.asset import materials as asset_materials
 from lumitree.asset.materials import MetallicRoughness, VertexColours
 from lumitree.core.backend import load_mitsuba, second_thread
-from lumitree.core.files import atomic_path
+from lumitree.core.files import accepts_name, atomic_path
 from lumitree.core.frames import is_far, similarity
 from lumitree.core.images import resized
 from lumitree.core.mitsuba_meshes import VERTEX_COLOUR, make_mesh
-from lumitree.core.system import accepts_name
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.lamp.meshes import Floats, Mesh
 from lumitree.lamp.parts import (
