@@ -1,4 +1,4 @@
-"""The light inside a luminaire's box from its bake, see `lumitree.asset.light_inside`.
+"""The light inside a luminaire's box from its bake, see `lumitree.asset.light_field`.
 
 Symbols
     C, Q, E, K, J, s    as there
@@ -7,9 +7,7 @@ Symbols
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.light_field import LightField
-from lumitree.asset.light_inside import MAX_CURVES, LightInside
-from lumitree.asset.packed_colours import pack_lit, pack_part
+from lumitree.asset.light_field import MAX_CURVES, LightField, LightInside, pack_lit, pack_part
 from lumitree.core.octahedral import coarse_solid_angles
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.fit.light_field.codebook import codebook
