@@ -20,7 +20,7 @@ from lumitree.core.directions import pose_towards
 from lumitree.core.files import FilePath, write_bytes
 from lumitree.core.image_settings import image_settings
 from lumitree.core.images import auto_exposure, max_radiance, tonemap
-from lumitree.core.photometry import luminance
+from lumitree.core.photometry import Flux, MissedFlux, luminance
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.progress import progress as progress_bar
 from lumitree.core.results import ImageResult
@@ -31,7 +31,6 @@ from lumitree.errors import LumitreeError
 from lumitree.lamp.diagnosis import warn_of_faults
 from lumitree.lamp.scene_shapes import SceneShape
 from lumitree.rendering.asset_cache import asset_of
-from lumitree.trace.flux_figures import Flux, MissedFlux
 
 if TYPE_CHECKING:
     from lumitree.core.drawing import Sheet

@@ -13,7 +13,7 @@ from lumitree.core.photometry import LUMENS_PER_WATT, blackbody_colour, luminanc
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.errors import LumitreeError, shown
 from lumitree.rendering.asset_rays import AssetRays
-from lumitree.trace.emitted_rays import as_rows
+from lumitree.trace.light_paths import as_rows
 
 # Rays that estimate the flux of a field, to about 0.1 to 0.5 %, in some tenths of a second.
 FIELD_RAYS = 1 << 20

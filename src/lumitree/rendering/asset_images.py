@@ -19,7 +19,7 @@ from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.rendering.asset_views import baked_image
 from lumitree.rendering.passes import Budget, render_passes
 from lumitree.rendering.plugins.register import shape
-from lumitree.trace.tracing import PATH_DEPTH
+from lumitree.trace.cameras import PATH_DEPTH
 
 # Equal settings give equal images: there is no option for the seed.
 _ROOT_SEED = 0

@@ -16,7 +16,6 @@ from lumitree.cli import main
 from lumitree.core.photometry import colour_temperature, luminance
 from lumitree.errors import LumitreeError
 from lumitree.fit.light_field import bake as light_field_bake
-from lumitree.fit.light_field import batches
 from lumitree.fit.light_field.saved_field import LIGHT_FIELD_STATE
 from lumitree.lamp.loading import load_luminaire
 from support import tiny_bakes
@@ -118,7 +117,7 @@ def test_the_same_work_folder_gives_the_field_without_tracing(monkeypatch):
     def refuse(*_, **__):
         raise AssertionError("light paths are traced")
 
-    monkeypatch.setattr(batches, "LampRays", refuse)
+    monkeypatch.setattr(light_field_bake, "LampRays", refuse)
     again = lumitree.bake("lamp.xml", config=standard(parts=["light"]), work="state").asset
     assert_equal_fields(again.light_field, first.light_field)
     with pytest.raises(AssertionError, match="light paths are traced"):
@@ -310,7 +309,7 @@ def test_an_interruption_after_the_bake_keeps_the_asset(monkeypatch, capsys):
     kept = lumitree.load(stopped.path)
     assert os.path.exists("lamp.work")
     monkeypatch.setattr(evaluate, "evaluate_irradiance", compare)
-    monkeypatch.setattr(batches, "LampRays", None)
+    monkeypatch.setattr(light_field_bake, "LampRays", None)
     again = lumitree.bake("lamp.xml", "lamp.lumitree", standard(parts=["light"]))
     assert again.stopped_by is None
     assert again.irradiance is not None
@@ -340,7 +339,7 @@ def test_an_light_field_alone_has_nothing_to_refine():
 
 def test_an_interrupted_bake_keeps_the_light_field(monkeypatch):
     """The same call continues it, without tracing the light paths again."""
-    from lumitree.fit.octree.refine import Refiner
+    from lumitree.fit.octree.descent import Refiner
 
     advance = Refiner.advance
 
@@ -355,7 +354,7 @@ def test_an_interrupted_bake_keeps_the_light_field(monkeypatch):
     assert cut.asset.light_field is not None
     assert LIGHT_FIELD_STATE in os.listdir("lamp.work")
     monkeypatch.setattr(Refiner, "advance", advance)
-    monkeypatch.setattr(batches, "LampRays", None)
+    monkeypatch.setattr(light_field_bake, "LampRays", None)
     whole = lumitree.bake("lamp.xml", "lamp.lumitree")
     assert whole.stopped_by is None
     assert_equal_fields(whole.asset.light_field, cut.asset.light_field)

@@ -12,7 +12,7 @@ from lumitree.lamp.opening import scene_path
 from lumitree.lamp.scene_writer import SCENE_FILE, write_scene
 from lumitree.lamp.source import as_source
 from lumitree.lamp.stored_geometry import stored_geometry
-from lumitree.trace.capture import capture
+from lumitree.trace.cameras import capture
 from support.slow import slow_but
 
 
