@@ -157,7 +157,7 @@ def chosen(cells: list[Cell], tables: list[int] | None, names: list[str] | None)
     unknown = [str(table) for table in tables or () if table not in numbers]
     unknown += [name for name in names or () if name not in known]
     if unknown:
-        raise LumitreeError(f"no cells of {', '.join(unknown)}; --list shows those of a scale")
+        raise LumitreeError(f"no cells of {', '.join(unknown)}; --list shows the cells of a scale")
     return [
         cell
         for cell in cells

@@ -25,7 +25,7 @@ from lumitree.trace.tracing import PATH_DEPTH, check_finite
 
 # Independent batches that an estimate is the mean of.
 BATCHES = 16
-# Of `Purpose.IRRADIANCE`; lumitree's own uses have smaller ones.
+# Draw of `Purpose.IRRADIANCE`; lumitree's own uses have smaller ones.
 _DRAW = 100
 _ROULETTE_DEPTH = 8
 

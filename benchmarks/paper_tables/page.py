@@ -43,8 +43,7 @@ def all_cells(scale: Scale) -> list[Cell]:
 
 INTRODUCTION = """# The paper's tables: measurements
 
-By `python -m benchmarks paper`. [The paper's tables](../../docs/paper.md) says what differs from the
-paper and why.
+By `python -m benchmarks paper`. [The paper's tables](../../docs/paper.md) has the findings.
 """
 
 

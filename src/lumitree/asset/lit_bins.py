@@ -1,4 +1,4 @@
-"""Values of bins of which only some are stored, and which these are as bits.
+"""Values of the occupied bins, and a bit mask of which bins are occupied.
 
 Symbols
     C   cells       N   bins of each        B   bins of all cells that are stored

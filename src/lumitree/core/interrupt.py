@@ -124,8 +124,8 @@ def interruptible() -> Iterator[None]:
     """Context in which every stop signal raises `Interrupted`; in the main thread only.
 
     After a signal any exception that leaves the block becomes `Interrupted`, since a library may
-    have caught that one and raised its own. If nothing leaves the block, its work is complete, and
-    the signal is that of the block around it, if there is one.
+    have caught that one and raised its own. If no exception leaves the block, its work is complete;
+    the enclosing block, if there is one, then gets the signal.
     """
     global _innermost
     if not _in_main_thread():

@@ -92,7 +92,7 @@ def trace_light(
     ray, vertex, flux, cut, straight, termination, leaves, smooth, reservoir = _trace(
         luminaire, sampler, path_depth, reservoir, largest_gain
     )
-    # All at once: a sum of one of them would trace the paths for it alone.
+    # Evaluated together: otherwise each of them would trace all paths again.
     dr.eval(ray, vertex, flux, cut, straight, termination, leaves, smooth, reservoir)
     if largest_gain is not None:
         bent = dr.select(leaves & ~straight, flux, 0)

@@ -5,8 +5,8 @@ Symbols
     n   light of an entry that gets farther than each distance; its first point is d, all light
     c   a curve of the codebook, near n / d
 
-The distance of an entry and a curve is Σ d (√(n / d) - √c)²: of roots, so that small values keep
-their order of magnitude, as those of the little light that gets far.
+The distance of an entry and a curve is Σ d (√(n / d) - √c)². The roots keep the order of magnitude
+of small values: only little light gets far.
 
 A curve is the ratio of the sums of n and of d over its entries. So at every point Σ d c over the
 entries of a curve is Σ n: all light is kept.

@@ -53,7 +53,7 @@ class PageModel:
 def page_model(asset: Asset) -> PageModel:
     """The geometry of an asset, which it has. Its surfaces' radiance is traced here."""
     assert asset.geometry is not None
-    # Places on a chord of a curved surface are below it: what is traced has the page's triangles.
+    # Chords of a curved surface lie below it, so radiance is traced on the page's own triangles.
     geometry = meshed(asset.geometry)
     asset = dataclasses.replace(asset, geometry=geometry)
     meshes = geometry_meshes(geometry, asset.frame.local_from_world)
