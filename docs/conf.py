@@ -114,7 +114,7 @@ def link_gallery(app, name, source):
 
 def setup(app):
     app.connect("builder-inited", copy_outside, priority=1)
-    # In this order: links are those of Markdown.
+    # In this order: links are changed in Markdown.
     app.connect("source-read", read_notebook, priority=400)
     app.connect("source-read", link_outside)
     app.connect("source-read", link_gallery)

@@ -23,7 +23,7 @@ EXCLUDED = ("docs/_build", "docs/generated", "benchmarks/results")
 SUFFIXES = (".py", ".md", ".ipynb")
 _POINTER = r"\b(?:that|those)\s+of\b"
 # After the end of a sentence, in a new paragraph, item, cell or heading.
-_BEGINNING = r"(?:\A|(?<=[.!?:;]\s)|(?<=\n\n)|(?<=[|*#-] ))(?:What|Of)\b"
+_BEGINNING = r"(?:\A|(?<=[.!?:;]\s)|(?<=\n\n)|(?<=[|*#-] ))\**(?:What|Of)\b"
 _END = re.compile(r"[.!?](?=\s|\Z)|\n\n|\Z")
 
 
