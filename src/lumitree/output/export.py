@@ -19,7 +19,7 @@ from lumitree.output.targets.registry import find_target
 from lumitree.output.targets.target import ExportRequest, Importer
 from lumitree.rendering.asset_cache import open_asset, refuse_frame
 
-# By measurement, see docs/decisions/blender.md.
+# By measurement, see docs/decisions/other-programs.md.
 DEFAULT_LIGHTS, MAX_LIGHTS = 16, 1024
 
 
