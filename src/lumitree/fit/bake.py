@@ -12,11 +12,10 @@ from lumitree.core.arguments import check_asset_output, check_light
 from lumitree.core.backend import load_rgb
 from lumitree.core.dataset import Dataset
 from lumitree.core.executor import check_executor
-from lumitree.core.files import FilePath
+from lumitree.core.files import FilePath, WorkFolder
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.stopwatch import Stopwatch
 from lumitree.core.turns import in_turn
-from lumitree.core.work_folder import WorkFolder
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.fit.config import BakeConfig
 from lumitree.fit.finishing import finish_bake, remove_state
@@ -298,7 +297,10 @@ def refine(
         with watch.stage("bake"):
             fit = octree_fit.refine(rough, lamp, fit_config, at.path)
         better = dataclasses.replace(
-            fit.asset, light_field=rough.light_field, geometry=rough.geometry, gain=rough.gain
+            fit.asset,
+            light_field=rough.light_field,
+            geometry=rough.geometry,
+            light_factors=rough.light_factors,
         )
         return _finish_fit(fit, better, output, watch, at, work, lamp, irradiance_paths)
 
