@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.checks import naming
 from lumitree.asset.geometry import (
     ARRAYS,
     UNIT_SHAPES,
@@ -37,6 +36,7 @@ from lumitree.asset.materials import (
 )
 from lumitree.core.backend import load_mitsuba, second_thread
 from lumitree.core.mitsuba_meshes import VERTEX_COLOUR, is_flipped, mesh_arrays
+from lumitree.core.reading import naming
 from lumitree.errors import LumitreeError, shown
 from lumitree.lamp.luminaire import Luminaire
 from lumitree.lamp.media import stored_medium

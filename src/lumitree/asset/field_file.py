@@ -15,12 +15,9 @@ from numpy.typing import NDArray
 
 from lumitree.asset.array_stream import Layout, compressed, decompressed
 from lumitree.asset.asset import MAX_DENSITY, Asset
-from lumitree.asset.checks import expect
 from lumitree.core.harmonics import MAX_L, num_coefficients
-from lumitree.core.reading import Record
+from lumitree.core.reading import Record, expect
 from lumitree.errors import LumitreeError
-
-FIELD_TENSORS = {"field.stream": "U8"}
 
 
 class Steps(NamedTuple):
@@ -86,7 +83,7 @@ def field_codes(asset: Asset, steps: Steps = STEPS) -> dict[str, NDArray[Any]]:
     children, leaves = _breadth_first(asset.children)
     return {
         "occupied": np.packbits(children != 0, axis=1, bitorder="little")[:, 0],
-        "ends": np.packbits(children < 0, axis=1, bitorder="little")[:, 0],
+        "leaf": np.packbits(children < 0, axis=1, bitorder="little")[:, 0],
         "density": density_codes(asset.density[leaves]),
         "coefficients": coefficient_codes(asset.coefficients[leaves], steps),
     }
@@ -95,7 +92,7 @@ def field_codes(asset: Asset, steps: Steps = STEPS) -> dict[str, NDArray[Any]]:
 def field_of_codes(codes: dict[str, NDArray[Any]], steps: Steps = STEPS) -> dict[str, NDArray[Any]]:
     """The field of the arrays of a stream, checked; the inverse of `field_codes`."""
     return {
-        "children": _children(codes["occupied"], codes["ends"], len(codes["density"])),
+        "children": _children(codes["occupied"], codes["leaf"], len(codes["density"])),
         "density": densities(codes["density"]),
         "coefficients": coefficients_of(codes["coefficients"], steps),
     }
@@ -156,7 +153,7 @@ def field_layouts(nodes: int, leaves: int, l_max: int) -> list[Layout]:
     """Arrays of the stream, in its order."""
     return [
         Layout("occupied", np.uint8, (nodes,)),
-        Layout("ends", np.uint8, (nodes,)),
+        Layout("leaf", np.uint8, (nodes,)),
         Layout("density", np.uint16, (leaves,), planes=True),
         Layout("coefficients", np.int16, (leaves, num_coefficients(l_max), 3), planes=True),
     ]
@@ -179,18 +176,20 @@ def _breadth_first(
 
 
 def _children(
-    occupied: NDArray[np.uint8], ends: NDArray[np.uint8], leaves: int
+    occupied: NDArray[np.uint8], leaf: NDArray[np.uint8], leaves: int
 ) -> NDArray[np.int32]:
     """Node table [N, 8] of the bits of its entries."""
-    leaf = np.unpackbits(ends[:, None], axis=1, bitorder="little").astype(bool)
-    interior = np.unpackbits((occupied ^ ends)[:, None], axis=1, bitorder="little").astype(bool)
-    found = int(interior.sum()) + 1, int(leaf.sum())
-    if (ends & ~occupied).any() or found != (len(occupied), leaves):
+    is_leaf, is_interior = (
+        np.unpackbits(bits[:, None], axis=1, bitorder="little").astype(bool)
+        for bits in (leaf, occupied ^ leaf)
+    )
+    found = int(is_interior.sum()) + 1, int(is_leaf.sum())
+    if (leaf & ~occupied).any() or found != (len(occupied), leaves):
         raise LumitreeError(
             f"a tree of {found[0]} nodes and {found[1]} leaves, expected {len(occupied)} and "
             f"{leaves}"
         )
-    return _numbered(interior, leaf)
+    return _numbered(is_interior, is_leaf)
 
 
 def _numbered(interior: NDArray[np.bool_], leaf: NDArray[np.bool_]) -> NDArray[np.int32]:

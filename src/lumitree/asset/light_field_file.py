@@ -12,12 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.array_stream import Layout, compressed, decompressed
-from lumitree.asset.light_field import MAX_BINS, LightField, TracedPaths
-from lumitree.asset.light_inside import LightInside
+from lumitree.asset.light_field import MAX_BINS, LightField, LightInside, TracedPaths
 from lumitree.core.reading import Record
 from lumitree.errors import LumitreeError
 
-LIGHT_FIELD_TENSORS = {"light.stream": "U8"}
 _KEYS = ("depth", "resolution", "scale")
 _TRACED_KEYS = ("count", "seeds", "luminaire", "noise")
 # Numbers of rows of the arrays.
