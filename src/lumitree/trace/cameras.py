@@ -46,11 +46,11 @@ class Camera:
         self,
         luminaire: Luminaire,
         resolution: int,
-        samples_per_pixel: int,
+        spp: int,
         path_depth: int = PATH_DEPTH,
     ) -> None:
         self._luminaire = luminaire
-        self._resolution, self._samples = resolution, samples_per_pixel
+        self._resolution, self._samples = resolution, spp
         self._path_depth = path_depth
         self._integrator = path_integrator(luminaire, path_depth)
         self._sampler = mi.load_dict({"type": "independent"})

@@ -24,9 +24,9 @@ def capture(
     luminaire: Luminaire,
     folder: str | os.PathLike[str],
     *,
-    num_views: int = 100,
+    views: int = 100,
     resolution: int = 256,
-    samples_per_pixel: int = 128,
+    spp: int = 128,
     split: Split = "train",
     workers: LampWorkers | None = None,
 ) -> Dataset:
@@ -42,7 +42,7 @@ def capture(
         LumitreeError: bad settings, `folder` holds another capture, another process works in it,
             or a worker is lost.
     """
-    manifest = _plan(luminaire, num_views, resolution, samples_per_pixel, split)
+    manifest = _plan(luminaire, views, resolution, spp, split)
     with alone_in(Path(folder)):
         return _capture(luminaire, _open_or_start(Path(folder), manifest), workers)
 
@@ -52,7 +52,7 @@ def _capture(luminaire: Luminaire, dataset: Dataset, workers: LampWorkers | None
     manifest = dataset.manifest
     missing = dataset.missing()
     done = len(manifest.frames) - len(missing)
-    settings = manifest.resolution, manifest.samples_per_pixel
+    settings = manifest.resolution, manifest.spp
     if workers is None:
         camera = Camera(luminaire, *settings)
         images = contextlib.nullcontext(enumerate(_take(camera, frame) for frame in missing))
@@ -90,11 +90,9 @@ def _camera(luminaire: bytes, settings: tuple[int, int]) -> Camera:
     return Camera(received_luminaire(luminaire), *settings)
 
 
-def _plan(
-    luminaire: Luminaire, num_views: int, resolution: int, samples_per_pixel: int, split: Split
-) -> Manifest:
-    check_count("views", num_views, 1, MAX_VIEWS)
-    check_image_settings(resolution=resolution, spp=samples_per_pixel)
+def _plan(luminaire: Luminaire, views: int, resolution: int, spp: int, split: Split) -> Manifest:
+    check_count("views", views, 1, MAX_VIEWS)
+    check_image_settings(resolution=resolution, spp=spp)
     first = 1 if split == "train" else FIRST_TEST_INDEX
     # Cameras stand clear of the bounding sphere.
     distance = 2 * luminaire.bounding_radius
@@ -104,14 +102,14 @@ def _plan(
             halton_index=index,
             local_from_camera=tuple(map(tuple, view_pose(index, distance).tolist())),
         )
-        for index in range(first, first + num_views)
+        for index in range(first, first + views)
     )
     return Manifest(
         luminaire=luminaire.name,
         fingerprint=luminaire.fingerprint,
         split=split,
         resolution=resolution,
-        samples_per_pixel=samples_per_pixel,
+        spp=spp,
         path_depth=PATH_DEPTH,
         half_width=luminaire.bounding_radius,
         local_frame=luminaire.frame,

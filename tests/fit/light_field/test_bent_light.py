@@ -11,10 +11,10 @@ from lumitree.fit.light_field.bake import bake_light_field
 from lumitree.trace.emitted_rays import as_rows
 from lumitree.trace.ending_segments import EndingConfig
 from lumitree.trace.lamp_rays import LampRays
-from lumitree.trace.light_field_config import LightFieldFitConfig
+from lumitree.trace.light_field_config import LightFieldConfig
 from support.lamps import AREA, cube, lamp_of, sphere
 
-CONFIG = LightFieldFitConfig(paths=1 << 19, batch=1 << 18, depth=4, resolution=16)
+CONFIG = LightFieldConfig(paths=1 << 19, batch=1 << 18, depth=4, resolution=16)
 RADIANCE = np.array([3.0, 2.0, 1.0])
 TINT = np.array([0.9, 0.5, 0.2])
 THIN = (

@@ -21,15 +21,16 @@ from lumitree.fit.light_field.saved_field import SavedLightField
 from lumitree.lamp.luminaire import Luminaire
 from lumitree.lamp.sent import LampWorkers
 from lumitree.trace.histograms import BinnedRays, EndingHistogram, Histogram
-from lumitree.trace.light_field_config import LightFieldFitConfig
+from lumitree.trace.light_field_config import LightFieldConfig
 from lumitree.trace.lost_light import check_output
 
 
 def bake_light_field(
     luminaire: Luminaire,
-    config: LightFieldFitConfig,
+    config: LightFieldConfig,
     folder: Path,
     workers: LampWorkers | None = None,
+    seed: int = 0,
 ) -> LightField:
     """Estimate the light field of a luminaire, and its noise from the batches' spread.
 
@@ -37,15 +38,16 @@ def bake_light_field(
 
     Args:
         luminaire: what is baked.
-        config: how. Equal settings give equal fields.
+        config: how. Equal settings and seeds give equal fields.
         folder: where the field is kept; it is returned if an equal call left it there.
         workers: what traces the light paths; the field is the same. Default: this process.
+        seed: root seed of all random numbers.
 
     Raises:
         LumitreeError: no light leaves the luminaire, a path's flux is NaN or infinite, or a worker
             is lost.
     """
-    saved = SavedLightField(folder, luminaire, config)
+    saved = SavedLightField(folder, luminaire, config, seed)
     if (field := saved.load()) is not None:
         return field
     depth = grid_depth(luminaire) if config.depth is None else config.depth
@@ -57,7 +59,7 @@ def bake_light_field(
     by_direction = []
     with (
         progress(f"light of {luminaire.name}", batches) as advance,
-        path_batches(luminaire, config, depth, workers) as traced_batches,
+        path_batches(luminaire, config, depth, seed, workers) as traced_batches,
     ):
         for batch in traced_batches:
             rays, ends = _divided(batch.leaving, batches), batch.ending
@@ -69,10 +71,10 @@ def bake_light_field(
             flux = luminance(batch.leaving.flux.astype(np.float64).T)
             by_direction.append(np.bincount(rays.bins, flux, config.resolution**2))
             advance(1)
-    check_output(luminaire, np.sum(by_direction, axis=1), config.seed)
+    check_output(luminaire, np.sum(by_direction, axis=1), seed)
     traced = TracedPaths(
         count=batches * config.batch,
-        seeds=(config.seed,),
+        seeds=(seed,),
         luminaire=luminaire.fingerprint,
         noise=relative_noise(np.array(by_direction) / own_solid_angles(config.resolution)),
     )
@@ -80,7 +82,7 @@ def bake_light_field(
     intensity = intensity_of_histogram(flux)
     bent = intensity * np.divide(bent, flux, out=bent, where=flux > 0)
     field = make_light_field(leaving.cells, intensity, depth, traced, bent=bent)
-    inside = light_inside(field, ending, straight_ending, config.seed)
+    inside = light_inside(field, ending, straight_ending, seed)
     field = dataclasses.replace(field, inside=inside)
     saved.save(field)
     return field

@@ -19,6 +19,7 @@ import orbax.checkpoint as ocp
 from lumitree.core.files import WriteError, check_room, write_json
 from lumitree.core.frames import LocalFrame, file_keys, file_members
 from lumitree.core.reading import Record, label, parse_json, read_bytes
+from lumitree.core.seeds import check_seed
 from lumitree.core.work_folder import remove_written
 from lumitree.errors import LumitreeError, shown
 from lumitree.fit.network.config import TrainConfig
@@ -40,6 +41,7 @@ class RunRecord:
     """Settings and dataset of a run that extraction needs in addition to the weights."""
 
     config: TrainConfig
+    seed: int
     dataset: str
     fingerprint: str
     luminaire: str
@@ -49,6 +51,7 @@ class RunRecord:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "luminaire", label(self.luminaire))
+        check_seed(self.seed)
         if not 0 < self.max_radiance < float("inf"):
             raise LumitreeError(f"max_radiance is {self.max_radiance}; expected a positive number")
 
@@ -84,6 +87,7 @@ def _parse(data: Record) -> RunRecord:
         raise LumitreeError(f"config: {shown(error, 200)}") from None
     return RunRecord(
         config=config,
+        seed=data.integer("seed"),
         dataset=data.text("dataset", _MAX_PATH),
         fingerprint=data.label("fingerprint"),
         luminaire=data.label("luminaire"),

@@ -75,6 +75,7 @@ def train(
     dataset_path: str | os.PathLike[str],
     run_path: str | os.PathLike[str],
     config: TrainConfig,
+    seed: int = 0,
     resume: bool = False,
     stop_after: int | None = None,
 ) -> TrainResult:
@@ -84,7 +85,8 @@ def train(
         dataset_path: folder made by `lumitree capture`.
         run_path: folder of the run. It must be missing, empty, or that of a run without a
             checkpoint, which is then started again. With `resume` it may be that of any run.
-        config: settings; with `resume` they must be those of the run.
+        config: settings; with `resume` they must equal the settings of the run.
+        seed: seed of the initial weights, the batches and the jitter; with `resume` the same.
         resume: continue from the newest checkpoint, if there is one. The result is that of an
             uninterrupted run.
         stop_after: stop and save after this number of steps.
@@ -96,11 +98,12 @@ def train(
     """
     dataset, folder = Dataset.open(dataset_path), Path(run_path)
     made = not folder.exists()
-    _check_folder(folder, config, resume)
+    _check_folder(folder, config, seed, resume)
     rays, occupancy = load_rays(dataset, config.opacity_kind, config.skip_empty)
     manifest = dataset.manifest
     record = RunRecord(
         config,
+        seed,
         str(dataset.folder.resolve()),
         manifest.fingerprint,
         manifest.luminaire,
@@ -109,7 +112,7 @@ def train(
     )
     with alone_in(folder):
         # Again, since another process may have worked in the folder meanwhile.
-        _check_folder(folder, config, resume)
+        _check_folder(folder, config, seed, resume)
         try:
             resume = resume and has_checkpoint(folder)
             return _train(folder, record, rays, occupancy, resume, stop_after)
@@ -128,7 +131,7 @@ def _train(
 ) -> TrainResult:
     """Train in a folder that no other process uses; with `resume`, from its newest checkpoint."""
     config = record.config
-    graph, state = initial_state(config, rays.typical_part)
+    graph, state = initial_state(config, rays.typical_part, record.seed)
     history: list[dict[str, float]] = []
     if resume:
         _check_same_data(RunRecord.load(folder), record)
@@ -141,7 +144,7 @@ def _train(
     if stop_after is not None:
         last = min(last, int(state.step) + stop_after)
     with open_checkpoints(folder) as checkpoints:
-        loop = _Loop(folder, rays, occupancy, config, graph, checkpoints, history)
+        loop = _Loop(folder, rays, occupancy, record, graph, checkpoints, history)
         return loop.run(state, last)
 
 
@@ -153,16 +156,17 @@ class _Loop:
         folder: Path,
         rays: RaySet,
         occupancy: Occupancy,
-        config: TrainConfig,
+        record: RunRecord,
         graph: nnx.GraphDef,
         checkpoints: ocp.CheckpointManager,
         history: list[dict[str, float]],
     ) -> None:
-        self.folder, self.rays, self.config = folder, rays, config
+        config = record.config
+        self.folder, self.rays, self.config, self.seed = folder, rays, config, record.seed
         self.checkpoints, self.history = checkpoints, history
         self.held_out = rays.held_out()
         self.occupancy = jax.device_put(occupancy, state_sharding(config))
-        self.step = make_step(config, graph, rays.max_radiance)
+        self.step = make_step(config, graph, rays.max_radiance, record.seed)
         self.evaluate = make_evaluation(config, graph, rays.max_radiance)
         self.earlier = history[-1]["seconds"] if history else 0.0
         self.seconds = self.earlier
@@ -203,7 +207,7 @@ class _Loop:
         return TrainResult(done, self.seconds, quality, float(black), rate, interrupted.number)
 
     def _draw(self, step: int) -> Batch:
-        return self.rays.draw(self.config.seed, step, self.config.rays_per_batch)
+        return self.rays.draw(self.seed, step, self.config.rays_per_batch)
 
     def _check(self, done: int) -> float:
         """The last loss; refuses losses since the last check that are not finite."""
@@ -238,7 +242,7 @@ class _Loop:
         save_checkpoint(self.folder, self.checkpoints, done, state)
 
 
-def _check_folder(folder: Path, config: TrainConfig, resume: bool) -> None:
+def _check_folder(folder: Path, config: TrainConfig, seed: int, resume: bool) -> None:
     """Refuse, before any work, a folder that cannot be used."""
     if not folder.exists() and resume:
         raise LumitreeError(f"{folder} does not exist: nothing to resume")
@@ -252,7 +256,9 @@ def _check_folder(folder: Path, config: TrainConfig, resume: bool) -> None:
         )
     if not resume:
         return
-    found, wanted = dataclasses.asdict(RunRecord.load(folder).config), dataclasses.asdict(config)
+    record = RunRecord.load(folder)
+    found = dataclasses.asdict(record.config) | {"seed": record.seed}
+    wanted = dataclasses.asdict(config) | {"seed": seed}
     changed = [f"{key} {found[key]} -> {wanted[key]}" for key in found if found[key] != wanted[key]]
     if changed:
         raise LumitreeError(

@@ -6,7 +6,7 @@ from lumitree.core.interrupt import Interruption
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.fit.octree.calibration import calibrate
-from lumitree.fit.octree.config import OctreeFitConfig
+from lumitree.fit.octree.config import OctreeConfig
 from lumitree.fit.octree.heldout import HeldOut
 from lumitree.fit.octree.leaf_field import LeafField
 from lumitree.fit.octree.ray_source import RaySource
@@ -26,7 +26,7 @@ class Budget:
         reserved: seconds that are kept for what follows the descent.
     """
 
-    def __init__(self, config: OctreeFitConfig, seconds: float, rays: int) -> None:
+    def __init__(self, config: OctreeConfig, seconds: float, rays: int) -> None:
         self._config, self._earlier, self.rays = config, seconds, rays
         self._start = time.monotonic()
         self.reserved = 0.0
@@ -63,7 +63,7 @@ class Descent:
         max_radiance: float,
         held_out: HeldOut,
         budget: Budget,
-        config: OctreeFitConfig,
+        config: OctreeConfig,
         state_file: StateFile,
     ) -> None:
         self._refiner, self._source, self._max_radiance = refiner, source, max_radiance
