@@ -231,7 +231,7 @@ def test_names_and_arguments_are_checked_first(folder):
     [
         (["a.xml", "b.xml", "-o", "a.lumitree"], "is the name of one asset"),
         (["a.xml", "b.xml", "-o", "out", "--config", "work.toml"], "work: for one luminaire"),
-        (["a.xml", "b.xml", "-o", "out", "--method", "network"], "--method network: for one"),
+        (["a.xml", "b.xml", "-o", "out", "--method", "network"], "method network: for one"),
         (["a.xml", "b.xml", "-o", "a.xml"], "a.xml is read, and would be written over"),
     ],
 )

@@ -225,7 +225,7 @@ def test_a_command_bakes_one_part(capsys):
 def test_datasets_have_a_field_only(untraced, capsys):
     views = {"views": 6, "resolution": 24, "spp": 4}
     lumitree.capture("lamp.xml", "views", **views)
-    baked = lumitree.bake("views", "lamp.lumitree")
+    baked = lumitree.bake("views", "lamp.lumitree", parts=["field"])
     assert baked.asset.light_field is None
     assert baked.irradiance is None
     assert baked.asset.info.leaves > 0

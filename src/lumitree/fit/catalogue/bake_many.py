@@ -100,6 +100,8 @@ def bake_many(
     if part is not None:
         named = dict(list(named.items())[part.number - 1 :: part.count])
     config = BakeConfig.of() if config is None else config
+    if config.method == "network":
+        raise LumitreeError("method network: for one luminaire at a time; bake each by itself")
     mark_folder(root)
     if part is not None:
         write_part(root, part, named)
