@@ -188,11 +188,7 @@ def measure_folder(work: Path, workers: int, options: argparse.Namespace) -> dic
     subprocess.run(command, cwd=work, check=True, capture_output=True)
     whole = time.perf_counter() - start
     names = [str(work / line) for line in (work / "lamps.txt").read_text().splitlines()]
-    config = {
-        "preview": lumitree.BakeConfig.preview,
-        "standard": lumitree.BakeConfig.standard,
-        "high": lumitree.BakeConfig.high,
-    }[options.quality]()
+    config = lumitree.BakeConfig.of(options.quality)
     start = time.perf_counter()
     kept = lumitree.bake_many(names, folder, config, progress=None)
     check = time.perf_counter() - start

@@ -28,7 +28,7 @@ ARGUMENTS = ("--parts", "light")
 @pytest.fixture(autouse=True)
 def folder(tmp_path, monkeypatch, mi):
     monkeypatch.chdir(tmp_path)
-    set_qualities(monkeypatch.setitem)
+    set_qualities(monkeypatch.setattr)
     for name, radius in (("a", 1.0), ("b", 0.5)):
         (tmp_path / f"{name}.xml").write_text(scene(sphere("ball", radius, inside=AREA)))
     (tmp_path / "dark.xml").write_text(scene(sphere("ball", 1)))
@@ -135,7 +135,7 @@ def die(report):
     if report.task.startswith("light of") and report.within.done == 1:
         os.kill(os.getpid(), signal.SIGKILL)
 
-set_qualities(dict.__setitem__)
+set_qualities(setattr)
 lumitree.bake_many(["a.xml", "b.xml", "c.xml"], "out", standard(parts=("light",)), progress=die)
 """
 
@@ -231,7 +231,7 @@ def test_names_and_arguments_are_checked_first(folder):
     [
         (["a.xml", "b.xml", "-o", "a.lumitree"], "is the name of one asset"),
         (["a.xml", "b.xml", "-o", "out", "--config", "work.toml"], "work: for one luminaire"),
-        (["a.xml", "b.xml", "-o", "out", "--method", "network"], "--method network: for one"),
+        (["a.xml", "b.xml", "-o", "out", "--method", "network"], "method network: for one"),
         (["a.xml", "b.xml", "-o", "a.xml"], "a.xml is read, and would be written over"),
     ],
 )

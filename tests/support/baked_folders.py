@@ -62,7 +62,7 @@ def write_lamp(folder, name, **changes):
 
 def written_job(sources, folder, name, config=None):
     """The bake of a source that has been baked: its file in `sources`, and its record."""
-    config = BakeConfig.standard() if config is None else config
+    config = BakeConfig.of("standard") if config is None else config
     path = sources / f"{name}.xml"
     write_old(path, f"<scene>{name}</scene>".encode())
     source = LuminaireSource(str(path))

@@ -29,7 +29,7 @@ ARGUMENTS = ("--parts", "light")
 @pytest.fixture(autouse=True)
 def folder(tmp_path, monkeypatch, mi):
     monkeypatch.chdir(tmp_path)
-    set_qualities(monkeypatch.setitem)
+    set_qualities(monkeypatch.setattr)
     for name, radius in (("a", 1.0), ("b", 0.5), ("c", 0.25)):
         (tmp_path / f"{name}.xml").write_text(scene(sphere("ball", radius, inside=AREA)))
     (tmp_path / "dark.xml").write_text(scene(sphere("ball", 1)))

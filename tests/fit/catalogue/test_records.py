@@ -202,6 +202,6 @@ def test_parts_state_what_is_missing(tmp_path):
 
 def test_settings_of_other_qualities_are_other_text(tmp_path):
     (tmp_path / "lamps").mkdir()
-    one = written_job(tmp_path / "lamps", tmp_path / "out", "a", BakeConfig.preview())
-    two = written_job(tmp_path / "lamps", tmp_path / "out", "b", BakeConfig.high())
+    one = written_job(tmp_path / "lamps", tmp_path / "out", "a", BakeConfig.of("preview"))
+    two = written_job(tmp_path / "lamps", tmp_path / "out", "b", BakeConfig.of("high"))
     assert one.settings != two.settings

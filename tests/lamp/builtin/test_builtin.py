@@ -130,7 +130,7 @@ def test_tiny_capture(mi, name, tmp_path):
         lamp.has_media,
         lamp.scatters,
     )
-    dataset = capture(lamp, tmp_path, num_views=2, resolution=16, samples_per_pixel=32)
+    dataset = capture(lamp, tmp_path, views=2, resolution=16, spp=32)
     views = list(dataset.views())
     assert max(view.radiance.max() for view in views) > 0
     for view in views:

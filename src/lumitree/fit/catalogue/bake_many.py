@@ -1,6 +1,7 @@
 """Bakes of many lamps into one folder, with an index page."""
 
 import contextlib
+import dataclasses
 import os
 import time
 import warnings
@@ -26,7 +27,6 @@ from lumitree.fit.catalogue.page import INDEX
 from lumitree.fit.catalogue.record import BakedLamp, LampFiles, settings_text
 from lumitree.fit.catalogue.result import BakeManyResult
 from lumitree.fit.config import BakeConfig
-from lumitree.fit.sources import applicable, warn_of_unused
 from lumitree.lamp.builtin.registry import BUILTIN
 from lumitree.lamp.source import LuminaireSource, as_source, gldf_variant, source_kind
 
@@ -61,10 +61,9 @@ def bake_many(
     folder. Each takes the lamps on which no other one works, and at the end waits for the others.
 
     Args:
-        luminaires: names, files and `LuminaireSource`, as for `bake`, `bake_views` and
-            `bake_photometric`.
+        luminaires: names, files and `LuminaireSource`, as for `bake`.
         folder: folder of the assets. It is made if it is missing.
-        config: settings of the bakes of all lamps. Default: `BakeConfig.standard()`. For
+        config: settings of the bakes of all lamps. Default: `BakeConfig()`. For
             photometric files those that do not apply are not used, with a warning.
         executor: what runs the bakes, a task for each lamp: any `concurrent.futures.Executor`, such
             as that of `process_pool` or of a Dask client. Its workers need the same files under the
@@ -100,8 +99,9 @@ def bake_many(
     part = None if task is None else _part(task)
     if part is not None:
         named = dict(list(named.items())[part.number - 1 :: part.count])
-    config = BakeConfig.standard() if config is None else config
-    warn_of_unused(named.values(), config)
+    config = BakeConfig.of() if config is None else config
+    if config.method == "network":
+        raise LumitreeError("method network: for one luminaire at a time; bake each by itself")
     mark_folder(root)
     if part is not None:
         write_part(root, part, named)
@@ -128,7 +128,10 @@ def _jobs(
     for name, source in named.items():
         is_photometric = source_kind(source) == "photometric"
         if is_photometric not in shared:
-            own = applicable(config, source)
+            own = config
+            if is_photometric and "light" in (config.parts or ()):
+                # The only part that it can have.
+                own = dataclasses.replace(config, parts=None)
             shared[is_photometric] = own, settings_text(own, source)
         jobs.append(LampJob(root, name, source, *shared[is_photometric], variant))
     return jobs

@@ -17,6 +17,7 @@ from lumitree.core.progress import ProgressCallback
 from lumitree.core.reading import read_bytes
 from lumitree.core.work_folder import BusyFolderError, WorkFolder
 from lumitree.errors import LumitreeError, shown
+from lumitree.fit.bake import bake as bake_source
 from lumitree.fit.catalogue.claim import UNKNOWN, Owner, claimed
 from lumitree.fit.catalogue.folder import recorded
 from lumitree.fit.catalogue.record import (
@@ -29,8 +30,7 @@ from lumitree.fit.catalogue.record import (
 )
 from lumitree.fit.catalogue.stamps import stamps_of
 from lumitree.fit.config import BakeConfig
-from lumitree.fit.sources import bake_source
-from lumitree.fit.work import work_folder_of
+from lumitree.fit.finishing import work_folder_of
 from lumitree.formats.photometric_file import read_again
 from lumitree.lamp.importers.model_folder import noted_files
 from lumitree.lamp.sent import absolute_source

@@ -17,7 +17,6 @@ from lumitree.errors import LumitreeError, shown
 from lumitree.fit.catalogue.stamps import FileStamp, current_stamps, read_stamp, relative_name
 from lumitree.fit.catalogue.thumbnail import thumbnail, thumbnail_kind
 from lumitree.fit.config import BakeConfig
-from lumitree.fit.sources import PHOTOMETRIC_SETTINGS
 from lumitree.lamp.builtin.registry import BUILTIN
 from lumitree.lamp.source import LuminaireSource, source_kind
 
@@ -233,10 +232,10 @@ def settings_text(config: BakeConfig, source: LuminaireSource) -> str:
     """The settings that apply to a source, as JSON; equal settings have equal text."""
     settings = dataclasses.asdict(config)
     if source_kind(source) == "photometric":
-        settings = {name: settings[name] for name in PHOTOMETRIC_SETTINGS}
+        settings = {name: settings[name] for name in ("light", "lumens", "temperature")}
         # Its numbers of light paths are for luminaires.
-        grid = settings["light_field"]
-        settings["light_field"] = {name: grid[name] for name in ("depth", "resolution")}
+        grid = settings["light"]
+        settings["light"] = {name: grid[name] for name in ("depth", "resolution")}
     return json.dumps(settings, sort_keys=True)
 
 
