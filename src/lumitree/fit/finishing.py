@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 from lumitree.asset.asset import Asset
 from lumitree.asset.file import as_stored, save
-from lumitree.core.files import FilePath, WriteError
-from lumitree.core.interrupt import deferred_interrupt, interruptible, interruption_behind
+from lumitree.core.files import FilePath, WorkFolder, WriteError, scratch_folder
+from lumitree.core.interruption import deferred_interrupt, interruptible, interruption_behind
 from lumitree.core.stopwatch import Stopwatch
-from lumitree.core.work_folder import WorkFolder, scratch_folder
 from lumitree.errors import LumitreeError, shown
 from lumitree.fit.result import BakeResult
 from lumitree.measure.irradiance_check import measure_irradiance
