@@ -5,12 +5,7 @@ import warnings
 import numpy as np
 import pytest
 
-from lumitree.core.photometry import (
-    WAVELENGTHS,
-    blackbody_radiance,
-    blackbody_spectrum,
-    luminance,
-)
+from lumitree.core.photometry import WAVELENGTHS, blackbody_radiance, blackbody_spectrum, luminance
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.rendering.scene import place_shapes
 from support.lamps import lamp_of, scene, sphere

@@ -5,14 +5,7 @@ import pytest
 
 from lumitree.asset.materials import VertexColours
 from lumitree.lamp.meshes import Mesh
-from lumitree.lamp.parts import (
-    Diffuse,
-    Geometry,
-    Material,
-    Part,
-    Texture,
-    figures,
-)
+from lumitree.lamp.parts import Diffuse, Geometry, Material, Part, Texture, figures
 
 TRIANGLE = Mesh(
     np.array([[0.0, 0, 0], [1, 0, 0], [0, 2, 0]]),

@@ -32,11 +32,7 @@ from lumitree.lamp.parts import Geometry
 from lumitree.lamp.scene_file import SceneFile, refuse_kind
 from lumitree.lamp.scene_shapes import SceneShape
 from lumitree.lamp.scene_writer import write_scene
-from lumitree.lamp.source import (
-    LuminaireSource,
-    as_source,
-    source_kind,
-)
+from lumitree.lamp.source import LuminaireSource, as_source, source_kind
 
 
 def read_model(source: str | os.PathLike[str] | LuminaireSource) -> Geometry:

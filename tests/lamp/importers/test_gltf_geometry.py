@@ -326,8 +326,7 @@ def instanced(tmp_path, required=False, **attributes):
         for name, values in attributes.items()
     }
     gltf.quad(
-        translation=[0, 10, 0],
-        extensions={"EXT_mesh_gpu_instancing": {"attributes": indices}},
+        translation=[0, 10, 0], extensions={"EXT_mesh_gpu_instancing": {"attributes": indices}}
     )
     gltf.json["extensionsUsed"] = ["EXT_mesh_gpu_instancing"]
     if required:

@@ -17,16 +17,7 @@ from lumitree.lamp.importers.overrides import (
     select_parts,
 )
 from lumitree.lamp.meshes import Mesh
-from lumitree.lamp.parts import (
-    Diffuse,
-    Geometry,
-    Glass,
-    Material,
-    Medium,
-    Metal,
-    Part,
-    Principled,
-)
+from lumitree.lamp.parts import Diffuse, Geometry, Glass, Material, Medium, Metal, Part, Principled
 from lumitree.lamp.scene_writer import MaskedEmission
 
 

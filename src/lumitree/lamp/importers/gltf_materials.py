@@ -8,14 +8,7 @@ import numpy as np
 from lumitree.core.photometry import LUMENS_PER_WATT
 from lumitree.errors import shown
 from lumitree.lamp.importers.gltf_document import Document, Item, Notes
-from lumitree.lamp.importers.gltf_maps import (
-    Array,
-    Layers,
-    Map,
-    Textures,
-    constant,
-    uv_transform,
-)
+from lumitree.lamp.importers.gltf_maps import Array, Layers, Map, Textures, constant, uv_transform
 from lumitree.lamp.parts import (
     RGB,
     Diffuse,
@@ -182,12 +175,7 @@ def _glass(layers: Layers, base: Base, volume: Volume, solid: bool, thickness: f
 
 
 def _principled(
-    layers: Layers,
-    textures: Textures,
-    base: Base,
-    transmission: Map,
-    scattered: float,
-    thin: bool,
+    layers: Layers, textures: Textures, base: Base, transmission: Map, scattered: float, thin: bool
 ) -> Principled:
     roughness, anisotropy = _anisotropy(layers, base.roughness)
     clearcoat, clearcoat_roughness = _clearcoat(layers)

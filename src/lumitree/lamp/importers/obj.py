@@ -16,12 +16,7 @@ from numpy.typing import NDArray
 
 from lumitree.errors import LumitreeWarning, shown, shown_names
 from lumitree.lamp.importers.faults import kept_faces, warn_of_repeated, with_reversed
-from lumitree.lamp.importers.mtl import (
-    MtlMaterial,
-    ObjFolder,
-    material,
-    parse_mtl,
-)
+from lumitree.lamp.importers.mtl import MtlMaterial, ObjFolder, material, parse_mtl
 from lumitree.lamp.importers.obj_text import ObjFile, parse_obj
 from lumitree.lamp.importers.polygons import triangulate
 from lumitree.lamp.importers.topology import (

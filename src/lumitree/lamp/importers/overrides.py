@@ -385,12 +385,7 @@ def _as_table(path: Path, name: str, value: Any) -> dict[str, Any]:
 
 
 def _material(table: Table) -> MaterialOverride:
-    readers = {
-        "glass": _glass,
-        "metal": _metal,
-        "diffuse": _diffuse,
-        "principled": _principled,
-    }
+    readers = {"glass": _glass, "metal": _metal, "diffuse": _diffuse, "principled": _principled}
     surfaces: list[tuple[Surface, bool]] = []
     for key, read in readers.items():
         own = table.table(key)
