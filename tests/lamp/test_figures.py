@@ -1,4 +1,4 @@
-"""A lamp's figures are those of the scene it becomes."""
+"""Figures of a model: numbers of triangles and emitters, radiance, size."""
 
 import numpy as np
 import pytest
