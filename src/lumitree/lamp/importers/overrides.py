@@ -14,6 +14,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 
 from lumitree.asset.materials import CONDUCTORS
+from lumitree.core.arguments import UNITS
 from lumitree.core.frames import similarity
 from lumitree.core.photometry import (
     MAX_TEMPERATURE,
@@ -31,7 +32,6 @@ from lumitree.core.toml_table import (
     read_toml,
     text,
 )
-from lumitree.core.units import UNITS
 from lumitree.errors import LumitreeError, LumitreeWarning, shown, shown_names
 from lumitree.lamp.importers.topology import count_solids
 from lumitree.lamp.meshes import Floats, Mesh, area_normals, join
