@@ -17,7 +17,7 @@ from pathlib import Path
 from benchmarks.common.options import add_seed
 from benchmarks.common.results import Results, notes
 from benchmarks.common.tables import Table
-from lumitree.lamp.builtin.registry import BUILTIN
+from lumitree.lamp.builtin import BUILTIN
 
 # Depth of the grid, and bins of direction a side; the first is the baseline.
 GRIDS = ((1, 64), (3, 32), (3, 64), (4, 32), (4, 64), (5, 32), (5, 64))
@@ -28,24 +28,22 @@ def measure(name: str, options: argparse.Namespace) -> list[dict]:
     """A row for each grid."""
     from lumitree.asset.asset import light_field_asset
     from lumitree.fit.light_field.bake import bake_light_field
-    from lumitree.lamp.loading import load_luminaire
+    from lumitree.lamp.luminaire import load_luminaire
     from lumitree.measure.irradiance import (
         asset_irradiance,
         irradiance_error,
         luminaire_irradiance,
     )
-    from lumitree.trace.light_field_config import LightFieldFitConfig
+    from lumitree.trace.light_field_config import LightFieldConfig
 
     luminaire = load_luminaire(name)
     reference = luminaire_irradiance(luminaire, REFERENCE_PATHS, seed=options.seed + 1)
     rows = []
     for depth, resolution in GRIDS:
-        config = LightFieldFitConfig(
-            paths=options.paths, depth=depth, resolution=resolution, seed=options.seed
-        )
+        config = LightFieldConfig(paths=options.paths, depth=depth, resolution=resolution)
         with tempfile.TemporaryDirectory() as folder:
             start = time.perf_counter()
-            field = bake_light_field(luminaire, config, Path(folder))
+            field = bake_light_field(luminaire, config, Path(folder), seed=options.seed)
             seconds = time.perf_counter() - start
         asset = light_field_asset(field, luminaire.frame, luminaire.name)
         error = irradiance_error(asset_irradiance(asset, REFERENCE_PATHS), reference)

@@ -13,14 +13,14 @@ from PIL import Image
 
 import lumitree
 from lumitree.core.files import write_bytes
-from lumitree.lamp.builtin.registry import BUILTIN
+from lumitree.lamp.builtin import BUILTIN
 
 DOCS = Path(__file__).parent
 BAKES = DOCS / "generated" / "lamps"
 PAGES = DOCS / "generated" / "extra" / "gallery"
 THUMBNAILS = DOCS / "images" / "gallery"
 LARGEST_PAGE = 4_000_000
-# Of the images.
+# Width of the images, and samples per pixel.
 PIXELS, SAMPLES = 320, 128
 
 
@@ -28,7 +28,7 @@ def main() -> None:
     result = lumitree.bake_many(
         list(BUILTIN),
         BAKES,
-        dataclasses.replace(lumitree.BakeConfig.preview(), irradiance_paths=0),
+        dataclasses.replace(lumitree.BakeConfig.of("preview"), irradiance_paths=0),
     )
     PAGES.mkdir(parents=True, exist_ok=True)
     THUMBNAILS.mkdir(parents=True, exist_ok=True)

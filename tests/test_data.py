@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import lumitree
-from lumitree.core.dataset import Dataset
 from lumitree.errors import LumitreeWarning
+from lumitree.lamp.dataset import Dataset
 from support.slow import slow_but
 
 DATA = Path(os.environ.get("LUMITREE_DATA", Path(__file__).parents[1].parent / "shared" / "data"))
@@ -25,7 +25,7 @@ LUMINAIRES = {
 
 @pytest.mark.parametrize("name", LUMINAIRES)
 def test_luminaires_are_captured(mi, tmp_path, name):
-    from lumitree.lamp.loading import load_luminaire
+    from lumitree.lamp.luminaire import load_luminaire
 
     luminaire = load_luminaire(DATA / "luminaires" / name)
     width = 2 * luminaire.frame.half_extents[0] * luminaire.frame.world_from_local[0, 0]
@@ -39,8 +39,8 @@ def test_luminaires_are_captured(mi, tmp_path, name):
     )
     with expected:
         lumitree.capture(
-            str(DATA / "luminaires" / name), str(tmp_path), num_views=2, resolution=48,
-            samples_per_pixel=16,
+            str(DATA / "luminaires" / name), str(tmp_path), views=2, resolution=48,
+            spp=16,
         )  # fmt: skip
     for view in Dataset.open(tmp_path).views():
         assert view.radiance.max() > 0
@@ -81,7 +81,7 @@ REPEATED = pytest.mark.filterwarnings("ignore:.* faces repeat others")
 def test_obj_models_are_repaired_as_by_hand(mi, folder):
     """Concave polygons, repeated bulbs and pieces wound inwards all come out right."""
     from lumitree.lamp.importers.topology import count_solids
-    from lumitree.lamp.model_reading import read_model
+    from lumitree.lamp.read_source import read_model
 
     meshes = {part.name: part.mesh for part in read_model(model_source(folder)).parts}
     for name, expected in MODELS[folder][1].items():
@@ -91,7 +91,7 @@ def test_obj_models_are_repaired_as_by_hand(mi, folder):
 @pytest.mark.slow
 @REPEATED
 def test_obj_and_hand_made_scene_give_the_same_light(mi, tmp_path):
-    from lumitree.lamp.loading import load_luminaire
+    from lumitree.lamp.luminaire import load_luminaire
     from lumitree.trace.cameras import capture
 
     hand_made = DATA / "luminaires" / "scopia_chandelier" / "luminaire.xml"
@@ -99,7 +99,7 @@ def test_obj_and_hand_made_scene_give_the_same_light(mi, tmp_path):
     for name, source in (("obj", model_source("scopia_chandelier")), ("xml", hand_made)):
         luminaire = load_luminaire(source)
         assert luminaire.has_media
-        views = list(capture(luminaire, tmp_path / name, num_views=3, resolution=96).views())
+        views = list(capture(luminaire, tmp_path / name, views=3, resolution=96).views())
         means.append([
             np.mean([view.radiance.mean() for view in views]),
             np.mean([view.geometric.mean() for view in views]),
@@ -130,8 +130,8 @@ FILES = {
 def test_models_load_with_their_overrides_and_shine(mi, file):
     from lumitree.core.photometry import flux_from_radiance
     from lumitree.lamp.importers.overrides import emitting_area
-    from lumitree.lamp.loading import load_luminaire
-    from lumitree.lamp.model_reading import read_model
+    from lumitree.lamp.luminaire import load_luminaire
+    from lumitree.lamp.read_source import read_model
     from lumitree.lamp.source import LuminaireSource
     from lumitree.trace.flux import estimate_flux
 
@@ -174,7 +174,7 @@ def test_baked_chandelier_lights_every_room(baked, room):
     image = lumitree.render(
         str(DATA / "rooms" / room / "room_night.xml"),
         [lumitree.Placement(baked, at=PLACES[room], size=0.8)],
-        samples_per_pixel=16,
+        spp=16,
         width=160,
     ).pixels
     assert np.isfinite(image).all()

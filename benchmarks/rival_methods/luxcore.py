@@ -157,14 +157,14 @@ def material_properties(name: str, material: Material) -> Properties:
     """Properties of a material and of its nested materials.
 
     Metals have their reflectance at normal incidence, which rises to 1 at grazing angles. Plastics
-    have a coat over a diffuse base, whose reflectance at normal incidence is that of their index.
+    have a coat over a diffuse base; their index gives its reflectance at normal incidence.
     LuxCore's microfacets have the distribution of Trowbridge and Reitz.
 
     Raises:
         LumitreeError: LuxCore has no equal of the material.
     """
     from lumitree.exports.pbr import principled_index, relative_index
-    from lumitree.lamp.conductors import normal_reflectance
+    from lumitree.lamp.scene_writer import normal_reflectance
 
     own: Properties
     inner: Properties = {}

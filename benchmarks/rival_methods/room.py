@@ -11,7 +11,7 @@ from lumitree.asset.geometry import AssetGeometry
 from lumitree.core.photometry import flux_from_radiance, luminance
 
 _PLASTICS = ("plastic", "roughplastic")
-# Luminous flux of the window over that of the lamp: lamps of files may have any unit of power.
+# Luminous flux of the window over the lamp's: lamps of files may have any unit of power.
 _WINDOW_SHARE = 0.5
 
 
@@ -57,7 +57,7 @@ class Room:
 
     def geometry(self) -> AssetGeometry:
         """Shapes and materials of the room, m, y up."""
-        from lumitree.lamp.loading import load_luminaire
+        from lumitree.lamp.luminaire import load_luminaire
         from lumitree.lamp.stored_geometry import stored_geometry
 
         shapes = {

@@ -1,22 +1,11 @@
-"""A lamp's figures are those of the scene it becomes."""
+"""Figures of a model: numbers of triangles and emitters, radiance, size."""
 
 import numpy as np
 import pytest
 
-from lumitree.core.backend import load_mitsuba
-from lumitree.lamp.builtin.registry import BUILTIN
-from lumitree.lamp.figures import figures
-from lumitree.lamp.loading import load_luminaire
+from lumitree.asset.materials import VertexColours
 from lumitree.lamp.meshes import Mesh
-from lumitree.lamp.parts import (
-    Diffuse,
-    Geometry,
-    Material,
-    Part,
-    Texture,
-    VertexColour,
-)
-from support.variant import VARIANT
+from lumitree.lamp.parts import Diffuse, Geometry, Material, Part, Texture, figures
 
 TRIANGLE = Mesh(
     np.array([[0.0, 0, 0], [1, 0, 0], [0, 2, 0]]),
@@ -33,16 +22,6 @@ def lamp(radiance, surface=None):
     return Geometry((Part("p", TRIANGLE, "m", (np.eye(4), moved)),), (material,))
 
 
-@pytest.mark.parametrize("name", BUILTIN)
-def test_builtin_lamps(name):
-    load_mitsuba(VARIANT)
-    luminaire, found = load_luminaire(name), figures(BUILTIN[name].build())
-    assert found.triangles == luminaire.num_triangles
-    assert found.emitters == luminaire.num_emitters
-    assert found.size == pytest.approx(luminaire.size, rel=1e-4)
-    assert found.has_media == luminaire.has_media
-
-
 def test_copies_count_and_stretch_the_box():
     found = figures(lamp((5.0, 7.0, 1.0)))
     assert (found.triangles, found.emitters, found.emitted_radiance) == (2, 2, 7.0)
@@ -53,7 +32,7 @@ def test_copies_count_and_stretch_the_box():
 @pytest.mark.parametrize(
     ("radiance", "largest"),
     [
-        (VertexColour(), 0.9),
+        (VertexColours(), 0.9),
         (Texture(np.full((2, 2, 3), 40.0, np.float32), encoded=False), 40.0),
         (Texture(np.full((2, 2, 3), 51, np.uint8), encoded=False), 0.2),
         # sRGB 128 is 21.586 % of the light.

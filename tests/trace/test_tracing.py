@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lumitree.lamp.loading import load_luminaire
+from lumitree.lamp.luminaire import load_luminaire
 from lumitree.rendering.scene import place_shapes
 from lumitree.trace.cameras import path_integrator
 from support.lamps import AREA, cube, lamp_of, scene, sphere
@@ -110,7 +110,7 @@ def test_medium_that_is_clear_in_one_channel_scatters_in_the_others(mi, tmp_path
 
 def test_emitters_through_which_light_passes_are_seen(mi, tmp_path):
     """Rays meet nothing but null surfaces."""
-    from lumitree.core.directions import pose_towards
+    from lumitree.core.frames import pose_towards
     from lumitree.trace.cameras import Camera
     from support.traced_lamps import stream
 

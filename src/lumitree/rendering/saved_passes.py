@@ -134,7 +134,7 @@ def image_identity(
     Raises:
         LumitreeError: the scene or a luminaire is no file, and so cannot be compared later.
     """
-    from lumitree.lamp.opening import fingerprint_of
+    from lumitree.lamp.read_source import fingerprint_of
     from lumitree.lamp.scene_file import SceneFile
 
     if not isinstance(scene, str | os.PathLike):

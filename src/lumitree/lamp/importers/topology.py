@@ -18,8 +18,11 @@ The notions, which are the same for all file formats:
   faces point to the outside. One inside another piece is the wall of a cavity: its signed volume
   is negative, and its normals point into the cavity. One inside two others has a positive volume
   again, and so on.
+
+It also has the normals of faces, and shading normals that are smooth except at creases.
 """
 
+import dataclasses
 import warnings
 from collections.abc import Sequence
 
@@ -48,6 +51,8 @@ _MAX_NESTING_WORK = 2_000_000_000
 _MAX_BODIES = 32
 # Vertices of a piece that must all lie inside another piece.
 _NESTING_PROBES = 8
+# Sharpest angle between the normals of two faces, degrees, across which shading is smooth.
+CREASE = 40.0
 
 
 def weld(positions: Floats, reach: float = 0.0) -> Indices:
@@ -94,9 +99,9 @@ def repeats(corners: Floats, within: float) -> tuple[Indices, NDArray[np.bool_]]
     """
     first, turned = _in_one_place(corners, within)
     if turned.any():
-        alone = np.bincount(first, minlength=len(first))[first] == 1
+        single = np.bincount(first, minlength=len(first))[first] == 1
         sheet = _sheets(corners, within, first)
-        kept = turned & (np.bincount(sheet, alone) > 0)[sheet]
+        kept = turned & (np.bincount(sheet, single) > 0)[sheet]
         first[kept], turned[kept] = np.flatnonzero(kept), False
     return first, turned
 
@@ -125,8 +130,8 @@ def _in_one_place(corners: Floats, within: float) -> tuple[Indices, NDArray[np.b
     chosen = np.flatnonzero(np.bincount(near)[near] > 1)
     if not len(chosen):
         return first, turned
-    own = corners[chosen]
-    places = weld(own.reshape(-1, 3), within).reshape(own.shape[:2])
+    near_ones = corners[chosen]
+    places = weld(near_ones.reshape(-1, 3), within).reshape(near_ones.shape[:2])
     sets = np.sort(places, axis=1)
     # Faces too small for this comparison would all look alike.
     small = (np.diff(sets, axis=1) == 0).any(axis=1)
@@ -136,9 +141,9 @@ def _in_one_place(corners: Floats, within: float) -> tuple[Indices, NDArray[np.b
     same = np.empty(len(sets), np.int64)
     same[order] = order[new][np.cumsum(new) - 1]
     same[small] = np.flatnonzero(small)
-    first[chosen], turned[chosen] = chosen[same], _turned(own, places, same)
+    first[chosen], turned[chosen] = chosen[same], _turned(near_ones, places, same)
     if small.any() and within > 0:
-        finer, turned[chosen[small]] = _in_one_place(own[small], 0.0)
+        finer, turned[chosen[small]] = _in_one_place(near_ones[small], 0.0)
         first[chosen[small]] = chosen[small][finer]
     return first, turned
 
@@ -168,16 +173,16 @@ class Pieces:
     """
 
     def __init__(self, faces: Indices) -> None:
-        ends = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-        low, high = ends.min(axis=1), ends.max(axis=1)
+        edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+        low, high = edges.min(axis=1), edges.max(axis=1)
         key = low * (int(high.max()) + 1) + high
         order = np.argsort(key, kind="stable")
         same = np.diff(key[order]) == 0
         self.pairs = np.stack([order[:-1][same], order[1:][same]], axis=1)
         self.label = connected(self.pairs // 3, len(faces))
-        edge = np.empty(len(ends), np.int64)
+        edge = np.empty(len(edges), np.int64)
         edge[order] = np.cumsum(np.concatenate([[0], ~same]))
-        forward = np.where(ends[:, 0] < ends[:, 1], 1, -1)
+        forward = np.where(edges[:, 0] < edges[:, 1], 1, -1)
         faces_at = np.bincount(edge)[edge]
         balanced = np.bincount(edge, forward)[edge] == 0
         owner, count = np.repeat(self.label, 3), int(self.label.max()) + 1
@@ -223,10 +228,10 @@ def has_body(mesh: Mesh, alike: Sequence[Floats], others: Sequence[Floats]) -> b
     order = np.argsort(label, kind="stable")
     corners = mesh.vertices[mesh.faces[order]]
     pieces = np.split(corners, np.cumsum(np.bincount(label))[:-1])
-    own = [probes(piece.reshape(-1, 3)) for piece in pieces]
+    points = [probes(piece.reshape(-1, 3)) for piece in pieces]
     for at in range(0, len(pieces), -(-len(pieces) // _MAX_BODIES)):
         piece = pieces[at]
-        if any(_encloses(piece, each) for each in (*own[:at], *own[at + 1 :], *alike)):
+        if any(_encloses(piece, each) for each in (*points[:at], *points[at + 1 :], *alike)):
             return True
         if not any(_encloses(piece, each) for each in others):
             return True
@@ -314,3 +319,68 @@ def _encloses(triangles: Floats, points: Floats) -> bool:
         if abs(turns) < 0.5:
             return False
     return True
+
+
+def face_normals(positions: Floats, faces: Indices) -> Floats:
+    """Unit normals [F, 3]; zero for a face without area."""
+    normals = area_normals(positions, faces)
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
+
+
+def crease_normals(
+    positions: Floats, faces: Indices, pieces: Pieces, groups: Indices, crease: float = CREASE
+) -> tuple[Indices, Floats]:
+    """Index [F, 3] of every corner's shading normal, and the unit normals [M, 3].
+
+    Normals are smooth across edges, except across creases: edges sharper than `crease` degrees,
+    between two smoothing groups [F], or of group 0. Faces [F, 3] index the positions [N, 3].
+    """
+    flat = face_normals(positions, faces)
+    pairs = pieces.pairs
+    first, second = pairs[:, 0] // 3, pairs[:, 1] // 3
+    smooth = (flat[first] * flat[second]).sum(axis=1) > np.cos(np.radians(crease))
+    smooth &= (groups[first] == groups[second]) & (groups[first] != 0)
+    pairs = pairs[smooth]
+    # A half-edge runs from corner k to corner k + 1 of its face. Corners in one place are joined.
+    starts, stops = pairs, pairs - pairs % 3 + (pairs + 1) % 3
+    corner = faces.ravel()
+    parallel = corner[starts[:, 0]] == corner[starts[:, 1]]
+    crossed = np.where(parallel[:, None], starts, np.stack([starts[:, 0], stops[:, 1]], 1))
+    others = np.where(parallel[:, None], stops, np.stack([stops[:, 0], starts[:, 1]], 1))
+    labels = connected(np.concatenate([crossed, others]), len(corner))
+    weighted = (flat[:, None] * _angles(positions, faces)[..., None]).reshape(-1, 3)
+    sums = np.zeros((int(labels.max()) + 1, 3))
+    np.add.at(sums, labels, weighted)
+    return labels.reshape(-1, 3), unit(sums)
+
+
+def turned_with_normals(mesh: Mesh, turn: NDArray[np.bool_]) -> Mesh:
+    """The mesh with the faces that `turn` [F] marks turned round, and normals on their front.
+
+    A vertex normal is reversed where it points to the back of the faces around the vertex. Faces
+    that are turned should share no vertex with faces that are not.
+    """
+    faces = np.where(turn[:, None], mesh.faces[:, ::-1], mesh.faces)
+    around = np.zeros_like(mesh.normals)
+    for corner in range(3):
+        np.add.at(around, faces[:, corner], area_normals(mesh.vertices, faces))
+    back = (around * mesh.normals).sum(axis=1) < 0
+    normals = np.where(back[:, None], -mesh.normals, mesh.normals)
+    return dataclasses.replace(mesh, faces=faces, normals=normals)
+
+
+def unit(vectors: Floats) -> Floats:
+    """Unit vectors along vectors [N, 3]; +y in place of zero."""
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    up = np.broadcast_to([0.0, 1.0, 0.0], vectors.shape).copy()
+    return np.divide(vectors, length, out=up, where=length > 0)
+
+
+def _angles(positions: Floats, faces: Indices) -> Floats:
+    """Interior angles [F, 3], radians."""
+    points = positions[faces]
+    ahead = np.roll(points, -1, axis=1) - points
+    back = np.roll(points, 1, axis=1) - points
+    cross = np.linalg.norm(np.cross(ahead, back), axis=-1)
+    return np.arctan2(cross, (ahead * back).sum(axis=-1))
