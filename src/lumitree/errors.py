@@ -60,8 +60,8 @@ def shown_names(names: Iterable[str]) -> str:
 def explained(function: F) -> F:
     """Decorator that turns errors of the system, of memory and of readers into a `LumitreeError`.
 
-    It handles errors that readers of files do not explain. The decorated function keeps its type, so
-    that an editor finds where an argument is passed.
+    It handles errors that readers of files do not explain. The decorated function keeps its type,
+    so that an editor finds where an argument is passed.
     """
 
     @functools.wraps(function)

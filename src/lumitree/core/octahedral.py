@@ -128,7 +128,7 @@ def _bevelled(place: Any, resolution: int) -> tuple[Any, Any, Any, Any]:
 
 
 def _on_map(uv: Any) -> Any:
-    """Octahedral coordinates of a place beyond the map: each side meets the other half of itself."""
+    """Octahedral coordinates of a place beyond the map: the halves of each side meet."""
     uv = dr.select(dr.abs(uv.x) > 1, mi.Vector2f(dr.copysign(2, uv.x) - uv.x, -uv.y), uv)
     return dr.select(dr.abs(uv.y) > 1, mi.Vector2f(-uv.x, dr.copysign(2, uv.y) - uv.y), uv)
 
@@ -159,8 +159,8 @@ def solid_angles(resolution: int) -> NDArray[np.float64]:
     """Solid angle [R²] of each bin, sr, if directions between the middles of bins share in them.
 
     A direction counts for a bin with the bilinear weight of its place on the map, which is the
-    probability with which an `offset` of `bin_of`, from -1/2 to 1/2, gives this bin. So intensities that
-    are flux over solid angle keep the flux, if they are linear between the middles of bins.
+    probability with which an `offset` of `bin_of`, from -1/2 to 1/2, gives this bin. So intensities
+    that are flux over solid angle keep the flux, if they are linear between the middles of bins.
     """
     fine = _parts(resolution)
     density = bordered(parts_of_bins(resolution, fine)[1], fine // 2)

@@ -3,7 +3,7 @@
 A result depends on one *root seed*, which the user may choose. Every use of random numbers has its
 separate seed. It is derived from the root seed, the purpose of the numbers (`Purpose`), the step of
 that work, and the draw within the step. Two uses share random numbers only if their 32-bit seeds
-are equal by coincidence. Among n seeds the probability of this is about n² / 2³³: 0.01 for the 10,000
+coincide. Among n seeds the probability of this is about n² / 2³³: 0.01 for the 10,000
 seeds of a long bake. The consequence is small: two of thousands of batches of rays are equal.
 """
 
