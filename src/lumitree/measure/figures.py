@@ -7,9 +7,9 @@ import numpy as np
 from matplotlib.colors import LogNorm, Normalize
 from numpy.typing import NDArray
 
-from lumitree.core.drawing import OPACITY, ColourScale, Sheet, Tile, image_grid
 from lumitree.core.images import auto_exposure, tonemap
 from lumitree.measure.irradiance import FACES, NUM_CUBE_FACES, IrradianceEvaluation
+from lumitree.rendering.drawing import OPACITY, ColourScale, Sheet, Tile, image_grid
 
 MAX_ROWS = 6
 # Pixels of an image of a view, and of a face.

@@ -9,10 +9,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from lumitree.core.drawing import Sheet, pdf_file, text_page
 from lumitree.errors import shown
 from lumitree.measure.illuminance.areas import Receivers
 from lumitree.measure.illuminance.figures import AreaFigures
+from lumitree.rendering.drawing import Sheet, pdf_file, text_page
 
 # Values are written at the points of an area if there are no more of them.
 _MAX_VALUES = 300

@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from lumitree.core.drawing import Sheet, pdf_file, text_page
 from lumitree.core.files import write_bytes
 from lumitree.errors import shown
 from lumitree.formats.type_c import Grid
@@ -24,6 +23,7 @@ from lumitree.measure.photometry.tables import (
     near_field_rows,
     ugr_rows,
 )
+from lumitree.rendering.drawing import Sheet, pdf_file, text_page
 
 _COLOURS = {"C0-C180": "#1f4e9c", "C90-C270": "#c2410c"}
 _STYLE = """
