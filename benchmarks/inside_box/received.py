@@ -10,11 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.measure.illuminance.light import emitter_light, receivers
-from lumitree.rendering.plugins.deferred_emitter import DeferredEmitter
-from lumitree.rendering.plugins.integrator import DEFAULT_RR_DEPTH, trace_paths
-from lumitree.rendering.plugins.path_scene import PathScene
-from lumitree.rendering.plugins.path_state import PathState
-from lumitree.rendering.plugins.proxies import DividedScene
+from lumitree.rendering.emitter import DeferredEmitter
+from lumitree.rendering.integrator import DEFAULT_RR_DEPTH, PathScene, PathState, trace_paths
+from lumitree.rendering.proxies import DividedScene
 from lumitree.trace.spawning import spawn
 
 # Samples that are computed at once.

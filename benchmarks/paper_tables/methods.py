@@ -14,7 +14,7 @@ from lumitree.core.backend import load_mitsuba
 from lumitree.core.files import write_json
 
 if TYPE_CHECKING:
-    from lumitree.rendering.sampling.emitter_sampling import Sampling
+    from lumitree.rendering.lamp_sampler import Sampling
 
 
 @dataclasses.dataclass(frozen=True)
@@ -104,7 +104,7 @@ def set_thresholds(scene: Any, way: Way) -> None:
     if (way.min_density, way.max_opacity) == (0.0, 1.0):
         return
     from lumitree.octree.field import Field
-    from lumitree.rendering.plugins.deferred_emitter import DeferredEmitter
+    from lumitree.rendering.emitter import DeferredEmitter
 
     lamps: list[Any] = [each for each in scene.emitters() if isinstance(each, DeferredEmitter)]
     for lamp in lamps:

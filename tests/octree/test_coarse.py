@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from lumitree.core.frames import LocalFrame
-from lumitree.octree.build import child_cells
-from lumitree.octree.coarse import COARSE_DEPTH, coarsened
-from lumitree.octree.leaves import leaf_cells
+from lumitree.octree.build import child_cells, leaf_cells
+from lumitree.octree.field import COARSE_DEPTH, coarsened
 from support.fields import make_asset, random_asset
 
 SIDE = 2.0 / (1 << COARSE_DEPTH)

@@ -42,7 +42,7 @@ def even_light():
 
 @pytest.fixture(scope="module")
 def light(mi):
-    from lumitree.rendering.sampling.light_field import DeviceLightField
+    from lumitree.rendering.device_light import DeviceLightField
 
     return DeviceLightField(some_light(), HALF)
 
@@ -50,8 +50,8 @@ def light(mi):
 @pytest.fixture(scope="module")
 def levels(mi):
     """A light field by level of its receivers: of a few cells, and of sums."""
-    from lumitree.rendering.sampling.light_field import DeviceLightField
-    from lumitree.rendering.sampling.light_levels import LevelChoice
+    from lumitree.rendering.device_light import DeviceLightField
+    from lumitree.rendering.light_levels import LevelChoice
 
     near, far = DeviceLightField(some_light(), HALF), DeviceLightField(even_light(), HALF)
     near.emitted.choice = LevelChoice(HALF, np.array([np.inf]))
@@ -61,7 +61,7 @@ def levels(mi):
 
 def seen_from(mi, light, x, direction):
     """Radiance and density [N] of directions from a point outside the box."""
-    from lumitree.rendering.sampling.proxy import BoxProxy
+    from lumitree.rendering.sampling import BoxProxy
 
     distance, _, enters = BoxProxy(HALF).enter(x, direction)
     return light.eval(x, x + distance * direction, direction, distance, enters)
@@ -84,8 +84,8 @@ def chances(mi, light, x):
 
 @pytest.mark.parametrize("name", POINTS)
 def test_radiance_and_density_are_sums_over_all_cells(mi, light, name):
-    from lumitree.rendering.sampling.light_bins import smooth_bin
-    from lumitree.rendering.sampling.proxy import cone_pdf, sample_cone
+    from lumitree.rendering.device_light import smooth_bin
+    from lumitree.rendering.sampling import cone_pdf, sample_cone
 
     field = some_light()
     count = 4096
@@ -122,7 +122,7 @@ def test_samples_follow_their_density_and_weigh_the_same_light(mi, light, name):
     import drjit as dr
 
     from lumitree.core.octahedral import bin_of
-    from lumitree.rendering.sampling.proxy import cone_pdf, sample_cone
+    from lumitree.rendering.sampling import cone_pdf, sample_cone
 
     count, coarse = 1 << 19, 16
     origin = device_point(mi, name)
@@ -164,7 +164,7 @@ def test_points_and_rays_share_the_light(mi, levels, level, name, other):
     import drjit as dr
 
     from lumitree.core.octahedral import bin_of
-    from lumitree.rendering.sampling.proxy import BoxProxy, cone_pdf, sample_cone
+    from lumitree.rendering.sampling import BoxProxy, cone_pdf, sample_cone
 
     count, coarse = 1 << 20, 4
     light, field = levels[level], [some_light, even_light][level]()
@@ -211,7 +211,7 @@ def test_points_and_rays_share_the_light(mi, levels, level, name, other):
 
 def test_rays_carry_the_flux_of_every_bin(mi, light):
     from lumitree.core.octahedral import bin_of, direction_in_bin, solid_angles
-    from lumitree.rendering.sampling.light_bins import smooth_bin
+    from lumitree.rendering.device_light import smooth_bin
 
     field, count = some_light(), 1 << 20
     sampler = uniform_samples(mi, count)
@@ -512,8 +512,7 @@ def test_a_camera_in_a_field_sees_what_is_before_it(mi, sampling):
 
 def test_parallel_rays_see_the_mean_over_bins(mi):
     """As those of an orthographic camera, which all have one direction."""
-    from lumitree.rendering.sampling.light_bins import bins_around
-    from lumitree.rendering.sampling.light_field import DeviceLightField
+    from lumitree.rendering.device_light import DeviceLightField, bins_around
 
     random = np.random.default_rng(6)
     intensity = random.exponential(1, (1, RESOLUTION**2, 3))
@@ -539,7 +538,7 @@ def test_parallel_rays_see_the_mean_over_bins(mi):
 def test_the_mean_over_bins_is_linear_between_their_middles(mi):
     """Bins of one direction, against the bilinear weights of four bins; across the map's sides."""
     from lumitree.core.octahedral import bin_of, octahedral
-    from lumitree.rendering.sampling.light_bins import smooth_bin
+    from lumitree.rendering.device_light import smooth_bin
 
     count, resolution = 1 << 16, 8
     values = np.random.default_rng(0).random(resolution**2)
@@ -580,7 +579,7 @@ def test_beyond_a_side_of_the_map_are_the_next_directions(mi):
 
 def test_bins_around_a_direction_are_those_of_the_slow_interpolation(mi):
     from lumitree.core.octahedral import bilinear_bins
-    from lumitree.rendering.sampling.light_bins import bins_around
+    from lumitree.rendering.device_light import bins_around
 
     random = np.random.default_rng(0)
     directions = random.normal(size=(500, 3))

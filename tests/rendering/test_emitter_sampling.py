@@ -33,9 +33,9 @@ def lamp(**fields):
 def samplers(mi):
     """Field, sampler by emission and uniform one."""
     from lumitree.octree.field import Field
-    from lumitree.rendering.sampling.emitter_sampling import EmitterSampler
-    from lumitree.rendering.sampling.light_leaves import light_leaves
-    from lumitree.rendering.sampling.proxy import BoxProxy
+    from lumitree.rendering.lamp_sampler import EmitterSampler
+    from lumitree.rendering.light_leaves import light_leaves
+    from lumitree.rendering.sampling import BoxProxy
 
     field = Field(lamp())
     both = (light_leaves(field), None)
@@ -117,7 +117,7 @@ def seen(mi, samplers):
     mean radiance from each direction, 0 where the ray does not enter the box ahead."""
     import drjit as dr
 
-    from lumitree.rendering.sampling.proxy import cone_pdf, sample_cone
+    from lumitree.rendering.sampling import cone_pdf, sample_cone
 
     field = samplers[0]
     radius = float(np.linalg.norm(HALF))
@@ -163,7 +163,7 @@ def test_density_adds_up_to_what_is_not_drawn_in_vain(mi, samplers, seen):
 
 
 def test_no_sample_is_brighter_than_the_bound(mi, samplers):
-    from lumitree.rendering.sampling.emitter_sampling import UNIFORM_FRACTION
+    from lumitree.rendering.sampling import UNIFORM_FRACTION
 
     field, by_emission, _ = samplers
     bound = 4 * np.pi * field.asset.max_radiance / UNIFORM_FRACTION
@@ -190,7 +190,7 @@ def test_nothing_is_sampled_from_inside(mi, samplers):
 
 
 def test_instances_share_one_table(mi, tmp_path):
-    from lumitree.rendering.sampling.light_leaves import light_leaves
+    from lumitree.rendering.light_leaves import light_leaves
 
     path = tmp_path / "lamp.lumitree"
     lumitree.save(lamp(), path)
@@ -203,7 +203,7 @@ def test_instances_share_one_table(mi, tmp_path):
 def test_dark_field_is_sampled_uniformly(mi, tmp_path):
     import drjit as dr
 
-    from lumitree.rendering.sampling.light_leaves import light_leaves
+    from lumitree.rendering.light_leaves import light_leaves
 
     dark = make_asset(np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros((0, 3, 4)))
     lumitree.save(dark, tmp_path / "dark.lumitree")

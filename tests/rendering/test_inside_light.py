@@ -117,9 +117,7 @@ def test_points_and_rays_share_the_light(mi):
     import drjit as dr
 
     from lumitree.core.octahedral import bin_of, solid_angles
-    from lumitree.rendering.sampling.light_bins import smooth_bin
-    from lumitree.rendering.sampling.light_field import DeviceLightField
-    from lumitree.rendering.sampling.light_inside import InsideLight
+    from lumitree.rendering.device_light import DeviceLightField, InsideLight, smooth_bin
 
     random = np.random.default_rng(4)
     cells = np.argwhere(np.ones((8, 8, 8)))

@@ -8,7 +8,7 @@ from scipy import stats
 
 import lumitree
 from lumitree.core.frames import rotation, similarity
-from lumitree.rendering.plugins.deferred_emitter import DeferredEmitter
+from lumitree.rendering.emitter import DeferredEmitter
 from lumitree.rendering.scene import load_scene
 from support.fields import make_asset, random_asset, uniform_asset
 from support.lamps import sphere

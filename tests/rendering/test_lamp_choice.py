@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from lumitree.core.device import on_device
-from lumitree.rendering.sampling.lamp_choice import NO_LAMP, LampChoice, LampChoices, Lamps
+from lumitree.rendering.lamp_choice import NO_LAMP, LampChoice, LampChoices, Lamps
 
 LOW, HIGH = np.zeros(3), np.array([20.0, 4.0, 10.0])
 

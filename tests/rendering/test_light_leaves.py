@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from lumitree.octree.leaves import leaf_cells
-from lumitree.rendering.sampling.light_leaves import NUM_GROUPS, _group, _multiplicity, light_leaves
+from lumitree.octree.build import leaf_cells
+from lumitree.rendering.light_leaves import NUM_GROUPS, _group, _multiplicity, light_leaves
 from support.fields import make_asset, random_asset
 
 HALF = np.array([1.0, 0.7, 0.4])

@@ -8,7 +8,7 @@ from lumitree.asset.packed_colours import unpack
 from lumitree.core.device import on_device
 from lumitree.core.octahedral import solid_angles
 from lumitree.core.photometry import luminance
-from lumitree.octree.leaves import grid_boxes_inside
+from lumitree.octree.build import grid_boxes_inside
 from support.receivers import HALF, uniform_samples
 
 DEPTH, RESOLUTION = 5, 8
@@ -28,13 +28,13 @@ def some_light():
 
 @pytest.fixture(scope="module")
 def light(mi):
-    from lumitree.rendering.sampling.light_field import DeviceLightField
+    from lumitree.rendering.device_light import DeviceLightField
 
     return DeviceLightField(some_light(), HALF)
 
 
 def test_sums_have_the_light_of_their_cells(mi):
-    from lumitree.rendering.sampling.light_levels import light_sums
+    from lumitree.rendering.light_levels import light_sums
 
     field = some_light()
     whole = unpack(field.dense(field.intensity))
@@ -64,7 +64,7 @@ def test_sums_have_the_light_of_their_cells(mi):
 
 
 def test_a_sum_of_equal_cells_is_the_larger_cell(mi):
-    from lumitree.rendering.sampling.light_levels import light_sums
+    from lumitree.rendering.light_levels import light_sums
 
     cells = np.argwhere(np.ones((2, 2, 2))) + np.array([2, 4, 4])
     field = make_light_field(cells, np.full((8, RESOLUTION**2, 3), 2.0), 3)
@@ -74,7 +74,7 @@ def test_a_sum_of_equal_cells_is_the_larger_cell(mi):
 
 
 def test_levels_follow_the_distance_without_a_border(mi):
-    from lumitree.rendering.sampling.light_levels import LevelChoice
+    from lumitree.rendering.light_levels import LevelChoice
 
     choice = LevelChoice(HALF, np.array([3.0, 6.0]))
     sample = uniform_samples(mi, 1 << 14).next_1d()
@@ -140,7 +140,7 @@ def test_a_lamp_whose_light_is_all_straight_has_levels(mi):
     """Its bent light is one bin of next to nothing, so narrow here that it meets no receiver."""
     import drjit as dr
 
-    from lumitree.rendering.sampling.light_field import DeviceLightField
+    from lumitree.rendering.device_light import DeviceLightField
 
     cells, shape = some_light().cells[:1], (1, 256**2, 3)
     straight = make_light_field(cells, np.ones(shape), DEPTH, bent=np.zeros(shape))

@@ -28,8 +28,8 @@ def asset(tmp_path):
 @pytest.fixture
 def created(monkeypatch, mi):
     """How many tables were made, and how deep samplers were made within each other."""
-    from lumitree.rendering.plugins import emitter
-    from lumitree.rendering.sampling import light_field as device_light_field
+    from lumitree.rendering import emitter
+    from lumitree.rendering import device_light as device_light_field
 
     found = {"tables": 0, "depth": 0, "deepest": 0}
     table, sampler = device_light_field.DeviceLightField.__init__, emitter.emitter_sampler
@@ -84,7 +84,7 @@ def test_lamps_are_not_created_within_each_other(mi, asset, tmp_path, created, l
 
 
 def test_a_step_that_fails_leaves_none_behind(mi):
-    from lumitree.rendering.plugins.objects import complete_later
+    from lumitree.rendering.objects import complete_later
 
     done = []
 
@@ -99,8 +99,8 @@ def test_a_step_that_fails_leaves_none_behind(mi):
 
 
 def test_too_many_geometries_within_each_other_are_explained(mi, monkeypatch, asset):
-    from lumitree.rendering.plugins import register as plugins
-    from lumitree.rendering.plugins import shape as proxy_shape
+    from lumitree.rendering import register as plugins
+    from lumitree.rendering import shapes as proxy_shape
 
     def endless(*args, **options):
         raise RecursionError

@@ -23,7 +23,7 @@ def facts(variant):
     from support.light_fields import random_light_field
 
     mi = load_mitsuba(variant)
-    from lumitree.rendering.plugins.light_colour import (
+    from lumitree.rendering.light_colour import (
         SpectralColour,
         d65,
         light_table,

@@ -21,7 +21,7 @@ from lumitree.asset.packed_colours import unpack
 from lumitree.core.octahedral import solid_angles
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.errors import LumitreeError
-from lumitree.octree.leaves import boxes_inside
+from lumitree.octree.build import boxes_inside
 
 # Points that k-means clusters: its time is linear in them.
 _CLUSTERED = 1 << 16

@@ -4,9 +4,9 @@ import drjit as dr
 
 from lumitree.asset.asset import Asset
 from lumitree.octree.field import shared_field
-from lumitree.rendering.sampling.divided_sampling import emitter_sampler
-from lumitree.rendering.sampling.emitted_light import emitted_light
-from lumitree.rendering.sampling.proxy import BoxProxy
+from lumitree.rendering.device_light import emitted_light
+from lumitree.rendering.lamp_sampler import emitter_sampler
+from lumitree.rendering.sampling import BoxProxy
 from lumitree.trace.emitted_rays import RayBatch, seeded_sampler
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lumitree.asset.asset import Asset
 from lumitree.core.dataset import Frame, Manifest
 from lumitree.octree.field import shared_field
-from lumitree.rendering.sampling.divided_sampling import look
+from lumitree.rendering.lamp_sampler import look
 
 # Rays per pixel and side: 4 x 4 rays, stratified, with the box filter that capture uses.
 RAYS_A_SIDE = 4

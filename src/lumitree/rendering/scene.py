@@ -25,14 +25,14 @@ from lumitree.lamp.source import LuminaireSource
 from lumitree.octree.field import Field
 from lumitree.rendering.asset_cache import open_asset, open_field
 from lumitree.rendering.asset_flux import asset_watts, gain_to
+from lumitree.rendering.emitter import Appearance, shows_geometry
 from lumitree.rendering.integrators import integrator_for
+from lumitree.rendering.lamp_sampler import Sampling
 from lumitree.rendering.layers import records_layers
+from lumitree.rendering.objects import load_ordered
 from lumitree.rendering.placement import Placement
 from lumitree.rendering.placement_checks import holds_objects, warn_of_overlaps
-from lumitree.rendering.plugins.objects import load_ordered
-from lumitree.rendering.plugins.placed import Appearance, shows_geometry
-from lumitree.rendering.plugins.register import register, shape
-from lumitree.rendering.sampling.emitter_sampling import Sampling
+from lumitree.rendering.register import register, shape
 
 # `volpath` starts rays (1 + largest coordinate) * RayEpsilon from surfaces. Where that is this part
 # of a lamp's size, the irradiance 0.7 sizes below it is 1 % too high; at 3 times this part, 4 %.

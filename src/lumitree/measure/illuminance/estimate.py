@@ -40,8 +40,8 @@ from lumitree.measure.illuminance.light import (
     reflected_light,
     summed_part,
 )
-from lumitree.rendering.plugins.deferred_emitter import DeferredEmitter
-from lumitree.rendering.plugins.path_scene import PathScene
+from lumitree.rendering.emitter import DeferredEmitter
+from lumitree.rendering.integrator import PathScene
 
 # Samples that are computed at once, and of a receiver in a pass.
 _AT_ONCE = 1 << 20

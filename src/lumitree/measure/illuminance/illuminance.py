@@ -26,7 +26,7 @@ from lumitree.rendering.placement import Placement
 
 if TYPE_CHECKING:
     from lumitree.measure.illuminance.plan import Plan
-    from lumitree.rendering.plugins.path_scene import PathScene
+    from lumitree.rendering.integrator import PathScene
     from lumitree.rendering.scene import PlacedLuminaire
 
 OUTPUTS = (".csv", ".json", ".png", ".pdf")
@@ -271,9 +271,9 @@ def _warn_of_glass(placed: "Sequence[PlacedLuminaire]") -> None:
 def _paths(scene: Any, title: str) -> "PathScene":
     """A scene with luminaires, for paths."""
     from lumitree.lamp.media import any_heterogeneous, media
-    from lumitree.rendering.plugins.geometry_plugins import GeometryEmitter
-    from lumitree.rendering.plugins.path_scene import PathScene
-    from lumitree.rendering.plugins.proxies import DividedScene
+    from lumitree.rendering.geometry import GeometryEmitter
+    from lumitree.rendering.integrator import PathScene
+    from lumitree.rendering.proxies import DividedScene
 
     if any_heterogeneous(scene):
         raise LumitreeError(
@@ -301,7 +301,7 @@ def _paths(scene: Any, title: str) -> "PathScene":
 
 def _light_boxes(scene: Any, points: NDArray[np.float64]) -> None:
     """Let the lamps in whose boxes there are points light what is inside."""
-    from lumitree.rendering.plugins.deferred_emitter import DeferredEmitter
+    from lumitree.rendering.emitter import DeferredEmitter
 
     for emitter in scene.emitters():
         if isinstance(emitter, DeferredEmitter):

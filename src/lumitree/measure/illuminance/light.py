@@ -15,13 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.device import on_device
-from lumitree.rendering.plugins.emitter_calls import eval_target, is_summed, sample_target
-from lumitree.rendering.plugins.integrator import DEFAULT_RR_DEPTH, trace_paths
-from lumitree.rendering.plugins.path_scene import PathScene
-from lumitree.rendering.plugins.path_state import PathState
-from lumitree.rendering.plugins.proxies import NONE
-from lumitree.rendering.plugins.shadow_rays import visible
-from lumitree.rendering.sampling.emitter_sampling import OUTSIDE
+from lumitree.rendering.emitter import eval_target, is_summed, sample_target
+from lumitree.rendering.integrator import (
+    DEFAULT_RR_DEPTH,
+    PathScene,
+    PathState,
+    trace_paths,
+    visible,
+)
+from lumitree.rendering.proxies import NONE
+from lumitree.rendering.sampling import OUTSIDE
 from lumitree.trace import medium_paths
 from lumitree.trace.spawning import spawn
 

@@ -28,7 +28,7 @@ from lumitree.asset.light_field import LightField
 from lumitree.asset.packed_colours import unpack
 from lumitree.core.photometry import luminance
 from lumitree.errors import LumitreeError
-from lumitree.octree.wide_nodes import wide_levels, wide_nodes
+from lumitree.octree.build import wide_levels, wide_nodes
 from lumitree.output.viewer.light_as_field import DEFAULT_VIEW, brightest_view, light_as_field
 from lumitree.output.viewer.model import page_model
 from lumitree.rendering.studio import BACKDROP, OWN, SOFTBOX, portrait_half_width, softboxes

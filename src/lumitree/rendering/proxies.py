@@ -16,16 +16,15 @@ from typing import Any, NamedTuple
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from numpy.typing import NDArray
 
 from lumitree.core.device import on_device
 from lumitree.lamp.scene_shapes import build_again, shape_groups
+from lumitree.rendering.emitter import DeferredEmitter, Placed
+from lumitree.rendering.lamp_sampler import left_out
+from lumitree.rendering.objects import make_object, shape_number
 from lumitree.rendering.placement_checks import holds_objects, overlapping
-from lumitree.rendering.plugins.box_tree import NODE_NUMBERS, box_tree
-from lumitree.rendering.plugins.deferred_emitter import DeferredEmitter
-from lumitree.rendering.plugins.objects import make_object, shape_number
-from lumitree.rendering.plugins.placed import Placed
-from lumitree.rendering.sampling.divided_sampling import left_out
-from lumitree.rendering.sampling.proxy import safe_inverse, slab
+from lumitree.rendering.sampling import safe_inverse, slab
 
 # Null surfaces that a path, or a shadow ray, crosses before it ends: a bound, so that every kernel
 # ends whatever the geometry.
@@ -34,11 +33,12 @@ MAX_CROSSINGS = 1024
 NONE = 0xFFFFFFFF
 # Packets of four numbers of a proxy on the device: a point, a matrix, whether it gives light to
 # what is in it, `sampled_alone_radius`, the number of its bit in masks of lamps, and 0; and of a
-# node of the tree.
-_PACKETS, _NODE_PACKETS = 4, NODE_NUMBERS // 4
+# node of the tree (`box_tree`).
+_PACKETS, _NODE_PACKETS = 4, 2
 # Bits of a mask of lamps. If there are more lamps than bits, some share one.
 _BITS = 32
-# Part of the distance by which a ray may miss a node's box.
+# Part of the distance by which a ray may miss a node's box, and by which boxes are larger than they
+# need be, so that rounding loses none.
 _SLACK = 1e-5
 
 
@@ -401,3 +401,32 @@ def _equal(first: Any, second: Any) -> bool:
 def _indices(value: Any) -> list[int]:
     """Indices of the arrays of a value, as `mitsuba.SceneParameters` compares them."""
     return dr.detail.collect_indices(value)
+
+
+def box_tree(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Nodes [2 N - 1, 8] of a binary tree over N ≥ 1 boxes, in depth-first order.
+
+    A row has the centre and the half extents of a box; the row that follows its subtree; and the
+    number of the box, -1 for a node with children. A node is followed by its first child, so a ray
+    that meets it continues with the next row, and one that misses it with the row that follows its
+    subtree.
+    """
+    rows: list[NDArray[np.float64]] = []
+
+    def add(members: NDArray[np.int64]) -> None:
+        corner, other = low[members].min(axis=0), high[members].max(axis=0)
+        half = (other - corner) / 2 * (1 + _SLACK)
+        box = members[0] if len(members) == 1 else -1
+        row = np.array([*(corner + other) / 2, *half, 0, box])
+        rows.append(row)
+        if len(members) > 1:
+            centres = low[members] + high[members]
+            axis = np.ptp(centres, axis=0).argmax()
+            members = members[np.argsort(centres[:, axis], kind="stable")]
+            middle = len(members) // 2
+            add(members[:middle])
+            add(members[middle:])
+        row[6] = len(rows)
+
+    add(np.arange(len(low)))
+    return np.array(rows)

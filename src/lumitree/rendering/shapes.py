@@ -1,5 +1,7 @@
 """The proxy of a baked luminaire as a shape dictionary, and its shapes in a scene."""
 
+from __future__ import annotations
+
 import os
 from typing import Any
 
@@ -10,25 +12,26 @@ from numpy.typing import ArrayLike
 from lumitree.asset.asset import Asset
 from lumitree.core.arguments import check_gain
 from lumitree.core.frames import similarity_scale
+from lumitree.core.mitsuba_meshes import copy_mesh
 from lumitree.lamp.media import media_of, scatters
 from lumitree.octree.field import Field
 from lumitree.rendering.asset_cache import file_name, open_asset, open_field
-from lumitree.rendering.plugins.geometry_shapes import geometry_shapes
-from lumitree.rendering.plugins.objects import (
-    load_ordered,
-    make_object,
-    make_properties,
-    medium_number,
-    shape_number,
-)
-from lumitree.rendering.plugins.placed import (
+from lumitree.rendering.emitter import (
     GEOMETRY_MARGIN,
     Appearance,
     Placed,
     check_kinds,
     shows_geometry,
 )
-from lumitree.rendering.sampling.emitter_sampling import Sampling
+from lumitree.rendering.geometry import geometry_shapes
+from lumitree.rendering.lamp_sampler import Sampling
+from lumitree.rendering.objects import (
+    load_ordered,
+    make_object,
+    make_properties,
+    medium_number,
+    shape_number,
+)
 
 
 class _Shape(dict[str, Any]):
@@ -110,3 +113,25 @@ def _proxy(
         emitter={"type": "lumitree", "gain": gain, **options},
         bsdf={"type": "lumitree_null", **options},
     )
+
+
+def box_class() -> type:
+    """Class of the shape for the variant of Mitsuba that is set, whose base class it extends."""
+
+    class LumitreeBox(mi.Mesh):
+        _made = False
+
+        def __init__(self, props: mi.Properties) -> None:
+            copy_mesh(self, make_object("cube", {"to_world": props["to_world"]}), props)
+            self._made = True
+
+        def traverse(self, callback):
+            if self._made:
+                callback.put("emitter", self.emitter(), mi.ParamFlags.Differentiable)
+            else:
+                super().traverse(callback)
+
+        def to_string(self) -> str:
+            return "LumitreeBox[]"
+
+    return LumitreeBox

@@ -31,11 +31,10 @@ from numpy.typing import NDArray
 
 from lumitree.core.device import on_device, parameter
 from lumitree.core.octahedral import bin_density, bin_of, direction_in_bin
+from lumitree.octree.build import boxes_inside, leaf_cells
 from lumitree.octree.field import Field, Record
-from lumitree.octree.leaves import boxes_inside, leaf_cells
-from lumitree.rendering.sampling.proxy import point_on_box, projected_areas
-from lumitree.rendering.sampling.receiver_cells import ReceiverCells
-from lumitree.rendering.sampling.samples import sample_row, scrambled
+from lumitree.rendering.light_table import ReceiverCells
+from lumitree.rendering.sampling import point_on_box, projected_areas, sample_row, scrambled
 
 NUM_GROUPS = 64
 # A leaf's number is p / 3V, with its group in place of the last bits.

@@ -1,0 +1,400 @@
+"""The shapes of an asset's geometry in a scene: their BSDFs, their glass and their emitters.
+
+The bent light of a lamp reaches a scene from its light field, and its straight light from its
+shapes. Mitsuba's emitter sampling does not find these, but emitter sampling of the lamp does
+(`straight_light`). At vertices on the lamp, they emit only where the path shows the lamp. The
+integrator `lumitree_path` makes this distinction; others get shapes that do not emit.
+
+Glass bends the rays of an image. Elsewhere light crosses it straight, with its Fresnel
+transmittance: shadow rays, and rays after a vertex that is not specular. Otherwise next-event
+estimation could not find a light behind glass, and paths would find its caustics by chance.
+"""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Sequence
+from typing import Any, Protocol, runtime_checkable
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.asset.asset import Asset
+from lumitree.asset.geometry import AssetGeometry
+from lumitree.asset.geometry_media import MEDIA_SIDES, scattering_sides, side_medium
+from lumitree.asset.materials import is_specular
+from lumitree.asset.textures import Json
+from lumitree.core.device import parameter, transforms_as_parameters
+from lumitree.core.frames import LocalFrame, similarity_scale
+from lumitree.core.mitsuba_meshes import make_mesh
+from lumitree.rendering.objects import load_ordered, make_object, make_properties
+from lumitree.rendering.straight_light import EmittingSurface, StraightLight, emitting_surface
+
+_STRAIGHT: weakref.WeakKeyDictionary[Asset, dict[str, StraightLight]] = weakref.WeakKeyDictionary()
+_SURFACES: weakref.WeakKeyDictionary[AssetGeometry, dict[str, _Surfaces]] = (
+    weakref.WeakKeyDictionary()
+)
+
+
+def geometry_shapes(
+    geometry: AssetGeometry, scene_from_world: NDArray[np.float64], lamp: Any
+) -> list[mi.Shape]:
+    """The shapes of an asset's geometry.
+
+    Args:
+        scene_from_world: [4, 4] similarity, from the frame of the luminaire's file to the scene.
+        lamp: emitter `lumitree` of the proxy, whose gain applies to the shapes too.
+    """
+    builder = _Builder(geometry, scene_from_world, lamp)
+    return [
+        builder.shape(shape, mesh)
+        for shape, mesh in zip(geometry.shapes, geometry.meshes(), strict=True)
+    ]
+
+
+def straight_light(asset: Asset) -> StraightLight | None:
+    """The emitters of an asset's geometry, shared by all instances of a lamp; None without any."""
+    geometry = asset.geometry
+    assert geometry is not None
+    lights, key = _STRAIGHT.setdefault(asset, {}), str(mi.variant())
+    if key not in lights:
+        surfaces = emitting_surfaces(geometry, asset.frame)
+        if not surfaces:
+            return None
+        half_extents = asset.frame.half_extents
+        light = StraightLight(surfaces, asset.light_field, half_extents, asset.gain)
+        return lights.setdefault(key, light)
+    return lights[key]
+
+
+def emitting_surfaces(geometry: AssetGeometry, frame: LocalFrame) -> list[EmittingSurface]:
+    """The shapes of a geometry that emit, in the local frame."""
+    matrix = frame.local_from_world @ geometry.file_from_geometry
+    found = []
+    for shape, mesh in zip(geometry.shapes, geometry.meshes(), strict=True):
+        if shape["radiance"] is not None:
+            radiance = _surfaces(geometry).emitted(shape["radiance"])
+            source = radiance if radiance.constant is None else radiance.constant
+            found.append(emitting_surface(shape, mesh, source, matrix))
+    return found
+
+
+class _Builder:
+    def __init__(
+        self, geometry: AssetGeometry, scene_from_world: NDArray[np.float64], lamp: Any
+    ) -> None:
+        self._geometry, self._lamp = geometry, lamp
+        # From the geometry's coordinates, in double precision: they may be far from the file's.
+        self._matrix = scene_from_world @ geometry.file_from_geometry
+        straight = lamp.straight
+        self._densities = iter([] if straight is None else straight.densities)
+        # By their descriptions: all shapes of one medium share an object.
+        self._media: dict[str, Any] = {}
+        self._scale = similarity_scale(scene_from_world, "to_world")
+        self._emitter = geometry_emitter_class()
+        self._surfaces = _surfaces(geometry)
+
+    def shape(self, shape: Json, mesh: dict[str, NDArray[Any]] | None) -> mi.Shape:
+        """A shape of the geometry, with its BSDF and its emitter."""
+        material = self._geometry.materials[shape["material"]]
+        radiance = shape["radiance"]
+        bsdf = self._surfaces.bsdf(shape)
+        values = {"flip_normals": shape["flipped"], "bsdf": bsdf}
+        # A surface that shows other things needs no emitter: it neither emits nor scatters.
+        emitted = None if radiance is None else self._surfaces.emitted(radiance)
+        if radiance is not None or not is_specular(material):
+            density = 0.0
+            if emitted is not None:
+                density = next(self._densities) / self._lamp.placed.numbers[0] ** 2
+            values["emitter"] = self._emitter(self._lamp, emitted, density)
+        for side in MEDIA_SIDES:
+            if side in shape:
+                values[side] = self._medium(shape[side])
+        if mesh is None:
+            matrix = self._matrix @ np.array(shape["to_world"], np.float64)
+            values["to_world"] = mi.ScalarTransform4d(matrix)
+            made = make_object(shape["type"], values)
+            transforms_as_parameters([made])
+        else:
+            made = self._mesh(mesh, make_properties("", values))
+        return made
+
+    def _mesh(self, mesh: dict[str, NDArray[Any]], props: mi.Properties) -> mi.Mesh:
+        rotation = self._matrix[:3, :3] / self._scale
+        vertices = mesh["vertices"] @ self._matrix[:3, :3].T + self._matrix[:3, 3]
+        placed = {**mesh, "vertices": vertices, "normals": mesh["normals"] @ rotation.T}
+        return make_mesh("geometry", placed, props)
+
+    def _medium(self, described: Any) -> mi.Medium:
+        """The medium of a side of a shape, whose coefficients are per unit of the file."""
+        key = repr(described)
+        if key not in self._media:
+            absorption, scattering, anisotropy = side_medium(described)
+            extinction = absorption + scattering
+            densest = max(*extinction, 1e-30)
+            albedo = scattering / np.maximum(extinction, 1e-30)
+            phase = make_object("hg", {"g": anisotropy})
+            self._media[key] = make_object(
+                "homogeneous",
+                {
+                    "sigma_t": mi.ScalarColor3d(extinction / densest),
+                    "albedo": mi.ScalarColor3d(albedo),
+                    "scale": densest / self._scale,
+                    "phase": phase if anisotropy else make_object("isotropic", {}),
+                },
+            )
+        return self._media[key]
+
+
+def _surfaces(geometry: AssetGeometry) -> _Surfaces:
+    """BSDFs and textures of an asset's geometry, made on first use."""
+    known, variant = _SURFACES.setdefault(geometry, {}), str(mi.variant())
+    if variant not in known:
+        # Mitsuba creates plugins in parallel: of two, the first is kept.
+        return known.setdefault(variant, _Surfaces(geometry))
+    return known[variant]
+
+
+class _Surfaces:
+    """The BSDFs and textures of an asset's geometry, which its instances share."""
+
+    def __init__(self, geometry: AssetGeometry) -> None:
+        self._materials, self._glass = Materials(geometry.images), geometry_glass_class()
+        self._kinds = [material["type"] for material in geometry.materials]
+        self._bsdfs = [self._materials.bsdf(material) for material in geometry.materials]
+        self._crossed = list(map(self._top, self._kinds, self._bsdfs))
+
+    def bsdf(self, shape: Json) -> mi.BSDF:
+        """The BSDF of a shape of the geometry.
+
+        Glass around a medium that scatters is not crossed straight: light that scatters in it
+        leaves it by refraction, or is reflected back totally.
+        """
+        straight = not scattering_sides(shape)
+        return (self._crossed if straight else self._bsdfs)[shape["material"]]
+
+    def emitted(self, radiance: Any) -> Radiance:
+        """Radiance of a shape."""
+        return self._materials.radiance(radiance)
+
+    def _top(self, kind: str, bsdf: mi.BSDF) -> mi.BSDF:
+        return self._glass(bsdf) if kind == "dielectric" else bsdf
+
+
+class Radiance:
+    """RGB radiance of the front of a surface.
+
+    Args:
+        source: a texture that has it, or R, G and B.
+
+    Attributes:
+        constant: the radiance if it is everywhere the same, else None.
+    """
+
+    def __init__(self, source: mi.Texture | Sequence[float]) -> None:
+        self.constant: NDArray[np.float64] | None = None
+        if isinstance(source, mi.Texture):
+            self._texture = source
+        else:
+            self.constant = np.array(source, np.float64)
+            self._colour = parameter(mi.Color3f, *source)
+
+    def __call__(self, si: mi.SurfaceInteraction3f, active: mi.Bool) -> mi.Color3f:
+        if self.constant is not None:
+            return self._colour
+        if mi.is_spectral:
+            return self._texture.eval_3(si, active)
+        return mi.Color3f(self._texture.eval(si, active))
+
+
+class Materials:
+    """Makes BSDFs; equal textures are made once."""
+
+    def __init__(self, images: Sequence[NDArray[Any]]) -> None:
+        """Materials whose textures are of these images, see `AssetGeometry.images`."""
+        self._images = images
+        self._textures: dict[str, Any] = {}
+
+    def bsdf(self, material: Json) -> mi.BSDF:
+        """The BSDF of a material."""
+        values = {f"nested_{i}": self.bsdf(m) for i, m in enumerate(material.get("nested", []))}
+        for name in material.keys() - {"type", "nested"}:
+            values[name] = self._value(material[name])
+        return make_object(material["type"], values)
+
+    def _value(self, value: Any) -> Any:
+        if isinstance(value, list):
+            return mi.ScalarColor3d(value)
+        if isinstance(value, dict):
+            return self._texture(value)
+        # JSON writes 1.0 as 1, too; Mitsuba refuses an integer as an index of refraction.
+        return float(value) if type(value) is int else value
+
+    def radiance(self, radiance: Any) -> Radiance:
+        """Emission of a shape."""
+        if not isinstance(radiance, dict):
+            return Radiance(np.broadcast_to(radiance, 3).tolist())
+        if not mi.is_spectral:
+            values = {"radiance": self._value(radiance)}
+            return Radiance(make_properties("", values).get_emissive_texture("radiance"))
+        description = self._description(radiance)
+        pixels = mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, False
+        description["bitmap"] = description["bitmap"].convert(*pixels)
+        return Radiance(load_ordered(description | {"raw": True}))
+
+    def _texture(self, texture: Json) -> mi.Texture:
+        key = repr(sorted(texture.items()))
+        if key not in self._textures:
+            self._textures[key] = load_ordered(self._description(texture))
+        return self._textures[key]
+
+    def _description(self, texture: Json) -> dict[str, Any]:
+        if "attribute" in texture:
+            return {"type": "mesh_attribute", "name": texture["attribute"]}
+        image = self._images[texture["image"]]
+        bitmap = mi.Bitmap(np.ascontiguousarray(image))
+        bitmap.set_srgb_gamma(image.dtype == np.uint8 and not texture["raw"])
+        return {
+            "type": "bitmap",
+            "bitmap": bitmap,
+            "raw": texture["raw"],
+            "filter_type": texture["filter_type"],
+            "wrap_mode": texture["wrap_mode"],
+            "to_uv": mi.ScalarTransform4f(np.array(texture["to_uv"])),
+        }
+
+
+# Marks a BSDF that light crosses straight, in `flags()`; Mitsuba does not use this bit.
+CROSSED_STRAIGHT = 1 << 24
+
+
+@runtime_checkable
+class GeometryEmitter(Protocol):
+    """Emitter of a shape of a lamp's geometry, which `lumitree_path` evaluates.
+
+    Attributes:
+        traced: whether the lamp's straight light comes from its shapes.
+    """
+
+    traced: bool
+
+    def eval_self_emission(
+        self,
+        si: mi.SurfaceInteraction3f,
+        it: mi.Interaction3f,
+        ds: mi.DirectionSample3f,
+        active: mi.Bool,
+    ) -> tuple[mi.Spectrum, mi.Float]:
+        """Radiance of a point that a ray has hit.
+
+        Args:
+            si: the point, on the shape.
+            it: the vertex that the ray comes from.
+            ds: from `it` to the point.
+
+        Returns:
+            Radiance towards `si.wi`; and the density per steradian that multiple importance
+            sampling takes for emitter sampling of the lamp (`Target.density`).
+        """
+        ...
+
+
+def geometry_emitter_class() -> type:
+    """Class of the emitter for the variant of Mitsuba that is set, whose base class it extends."""
+
+    class LumitreeGeometryEmitter(mi.Emitter):
+        def __init__(
+            self, lamp: Any, radiance: Radiance | None = None, density: float = 0.0
+        ) -> None:
+            """Emitter of a shape of the lamp whose proxy has the emitter `lamp`.
+
+            Args:
+                radiance: of the shape; None if it is black.
+                density: of `StraightLight.densities`, scene units.
+            """
+            super().__init__(make_properties("lumitree_geometry", {"sampling_weight": 0.0}))
+            self._lamp, self._radiance = lamp, radiance
+            self._gain = parameter(mi.Color3f, *lamp.placed.asset.gain)
+            self._density = parameter(mi.Float, density)
+            self.traced = lamp.placed.traces_straight_light
+            self.m_flags = mi.EmitterFlags.Surface | mi.EmitterFlags.SpatiallyVarying
+
+        def eval_self_emission(self, si, it, ds, active):
+            if self._radiance is None:
+                return mi.Spectrum(0), mi.Float(0)
+            pdf = self._density * dr.square(ds.dist) / dr.abs(dr.dot(ds.d, si.n))
+            front = active & (mi.Frame3f.cos_theta(si.wi) > 0)
+            radiance = self._lamp.factor * self._gain * self._radiance(si, front)
+            return dr.select(front, self._lamp.light_colour(radiance, si.wavelengths), 0), pdf
+
+        def eval(self, si, active=True):
+            return mi.Spectrum(0)
+
+        def sample_direction(self, it, sample, active=True):
+            return dr.zeros(mi.DirectionSample3f), mi.Spectrum(0)
+
+        def pdf_direction(self, it, ds, active=True):
+            return mi.Float(0)
+
+        def eval_direction(self, it, ds, active=True):
+            return mi.Spectrum(0)
+
+        def sample_ray(self, time, sample1, sample2, sample3, active=True):
+            # `ptracer` compiles this for the emitters of every scene in the process.
+            return dr.zeros(mi.Ray3f), mi.Spectrum(0)
+
+        def to_string(self) -> str:
+            return "LumitreeGeometryEmitter[]"
+
+    return LumitreeGeometryEmitter
+
+
+def geometry_glass_class() -> type:
+    """Class of the glass for the variant of Mitsuba that is set, whose base class it extends."""
+
+    class LumitreeGeometryGlass(delta_bsdf_class()):
+        def __init__(self, glass: mi.BSDF) -> None:
+            """The second component of `glass` is a specular transmission."""
+            super().__init__(make_properties("lumitree_glass", {}))
+            self._glass = glass
+            self.m_components = list(glass.m_components)
+            # Null surfaces are asked for their transmittance in shadow rays.
+            self.m_flags = int(glass.m_flags) | int(mi.BSDFFlags.Null) | CROSSED_STRAIGHT
+            self._transmission = mi.BSDFContext()
+            self._transmission.component = 1
+
+        def sample(self, ctx, si, sample1, sample2, active=True):
+            return self._glass.sample(ctx, si, sample1, sample2, active)
+
+        def eval_null_transmission(self, si, active=True):
+            # By the angle outside the glass on both sides: a ray that leaves a pane has the same
+            # angle outside as where it entered. Seen from inside it would be totally reflected.
+            outside = mi.SurfaceInteraction3f(si)
+            outside.wi = mi.Vector3f(si.wi.x, si.wi.y, dr.abs(si.wi.z))
+            unused = mi.Float(0.5), mi.Point2f(0.5)
+            bs, weight = self._glass.sample(self._transmission, outside, *unused, active)
+            # Without the compression of radiance in a denser medium.
+            return mi.Spectrum(weight * dr.square(bs.eta)) & active
+
+        def to_string(self) -> str:
+            return f"LumitreeGeometryGlass[{self._glass}]"
+
+    return LumitreeGeometryGlass
+
+
+def delta_bsdf_class() -> type:
+    """Base class for the variant of Mitsuba that is set: a BSDF that is 0 for given directions."""
+
+    class DeltaBSDF(mi.BSDF):
+        def eval(self, ctx, si, wo, active=True):
+            return mi.Spectrum(0)
+
+        def pdf(self, ctx, si, wo, active=True):
+            return mi.Float(0)
+
+        def eval_pdf(self, ctx, si, wo, active=True):
+            return mi.Spectrum(0), mi.Float(0)
+
+    return DeltaBSDF
