@@ -28,8 +28,8 @@ def asset(tmp_path):
 @pytest.fixture
 def created(monkeypatch, mi):
     """How many tables were made, and how deep samplers were made within each other."""
-    from lumitree.rendering import emitter
     from lumitree.rendering import device_light as device_light_field
+    from lumitree.rendering import emitter
 
     found = {"tables": 0, "depth": 0, "deepest": 0}
     table, sampler = device_light_field.DeviceLightField.__init__, emitter.emitter_sampler
