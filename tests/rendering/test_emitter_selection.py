@@ -225,12 +225,12 @@ def test_a_gain_of_zero_and_a_change_of_gain_are_followed(mi):
 @pytest.mark.parametrize("parts", PARTS)
 def test_lamps_of_one_kind_share_their_code(mi, monkeypatch, parts):
     """Equal images, with code for each lamp and for each kind; equal seeds."""
-    from lumitree.rendering.emitter import LampKinds
+    from lumitree.rendering.lamps import LampKinds
 
     assets = [make_asset(parts, seed) for seed in (1, 2)]
     scene = room(mi, **lamps(assets), **others(mi))
     kinds = LampKinds(scene.emitters(), scene.emitters_dr())
-    assert len(kinds._lights) == 2
+    assert len(kinds._lamps) == 2
     shared = images(mi, scene, 1, 32)[0]
     create = LampKinds.__init__
 
@@ -249,7 +249,7 @@ def test_gains_of_many_lamps_are_joined_with_their_derivatives(mi):
     """In groups: one kernel of 1,000 arrays takes minutes to compile."""
     import drjit as dr
 
-    from lumitree.rendering.emitter import joined_colours
+    from lumitree.rendering.lamps import joined_colours
 
     colours = [mi.Color3f(index, 2 * index, 3 * index) for index in range(300)]
     dr.enable_grad(colours[170])

@@ -108,7 +108,7 @@ def test_a_ray_finds_the_proxies_of_a_hall(mi, tmp_path):
     end = random.uniform(1, 12, count)
     entry = np.full((count, len(emitters)), np.inf)
     for index, emitter in enumerate(emitters):
-        matrix, centre = emitter.placed.unit_proxy()
+        matrix, centre = emitter.lamp.unit_proxy()
         with np.errstate(divide="ignore", invalid="ignore"):
             o, d = (origin - centre) @ matrix.T, direction @ matrix.T
             near, far = ((side * np.sign(d) - o) / d for side in (-1, 1))
@@ -230,7 +230,7 @@ def test_lamps_have_bits_of_their_own(mi, tmp_path):
     """Whatever other emitters are between them, as the materials of their geometry are."""
     from lumitree.rendering.proxies import NONE, Owners, Proxies
 
-    nothing = SimpleNamespace(placed=SimpleNamespace(own_shapes=[], own_media=[]))
+    nothing = SimpleNamespace(own_shapes=[], own_media=[])
     owners = Owners({0: nothing, 32: nothing, 64: nothing, 70: nothing})
     lamp = on_device(mi.UInt32, np.array([0, 32, 64, 70, NONE]))
     assert np.array(owners.bit(lamp, mi.Bool(True))).tolist() == [1, 2, 4, 8, 0]
@@ -305,5 +305,5 @@ def test_lamps_of_another_scene_with_the_same_surfaces_light_what_is_in_their_bo
         place = similarity(rotation([0, 1, 1], 0), 1.0, [x, 0, 0.9])
         scene = mi.load_dict({"type": "scene", "lamp": lumitree.shape(asset, place), **surfaces})
         divided.of(scene)
-        found = [e.placed.holds for e in scene.emitters() if hasattr(e, "placed")]
+        found = [e.lamp.lights_inside for e in scene.emitters() if hasattr(e, "lamp")]
         assert found == [holds]

@@ -36,10 +36,10 @@ def placed_shape(kind, name, inside, scale=(1, 1, 1), turn=(0, 1, 0, 0), at=(0, 
 
 def straight(lamp, field=None, gain=(1.0, 1.0, 1.0)):
     """The emitters of a lamp."""
-    from lumitree.rendering.geometry import emitting_surfaces
+    from lumitree.rendering.geometry import Surfaces
     from lumitree.rendering.straight_light import StraightLight
 
-    surfaces = emitting_surfaces(stored_geometry(lamp), lamp.frame)
+    surfaces = Surfaces(stored_geometry(lamp)).emitting(lamp.frame)
     return StraightLight(surfaces, field, lamp.frame.half_extents, gain)
 
 

@@ -8,7 +8,6 @@ import numpy as np
 
 def facts(variant):
     """Largest errors of the laws of `light_table`, by spectrum."""
-    from lumitree.asset.asset import light_field_asset
     from lumitree.asset.spectrum import EmittedSpectrum
     from lumitree.core.backend import load_mitsuba
     from lumitree.core.photometry import (
@@ -19,8 +18,6 @@ def facts(variant):
         xyz_of_spectrum,
     )
     from lumitree.core.spectrum import sampled_spectrum
-    from support.fields import random_asset
-    from support.light_fields import random_light_field
 
     mi = load_mitsuba(variant)
     from lumitree.rendering.light_colour import (
@@ -30,12 +27,11 @@ def facts(variant):
         smooth_basis,
     )
 
-    frame = random_asset(0).frame
     rgb = np.random.default_rng(0).random((50, 3))
 
     def table(spectrum, share=1.0):
         known = None if spectrum is None else EmittedSpectrum.of(spectrum, share)
-        return light_table(light_field_asset(random_light_field(0), frame, "test", known))
+        return light_table(known)
 
     def colours(spectra):
         return srgb_from_xyz(xyz_of_spectrum(spectra)) / FILM_LUMINANCE

@@ -211,9 +211,7 @@ class Asset:
         load_mitsuba()
         from lumitree.octree.field import shared_field
 
-        # The reference keeps the device copy alive for the next call.
-        self.__dict__["_field"] = field = shared_field(self)
-        return field.eval_rays(*self._local_rays(origin, direction / length))
+        return shared_field(self).eval_rays(*self._local_rays(origin, direction / length))
 
     def _local_rays(self, origin, direction):
         """Points [N, 3] and unit directions [N, 3] in the local frame."""

@@ -12,26 +12,20 @@ Symbols
 from __future__ import annotations
 
 import dataclasses
-import functools
-import threading
-import weakref
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.device import on_device, parameter
+from lumitree.core.device import on_device, parameter, shared
 from lumitree.core.frames import LocalFrame, towards_viewer
 from lumitree.core.harmonics import basis, num_coefficients
 from lumitree.core.transmittance import BLOCKED, Law, transmittance
 from lumitree.octree.build import build_children, leaf_cells
 from lumitree.octree.traversal import Octree, Span
 
-# record(recorded, leaf, start, length, active[, emission]) -> recorded: see `Field.integrate`.
-Record = Callable[..., Any]
 # Coefficients that are loaded at once: gathers of single halves take three times as long.
 _PACKET = 8
 _LARGEST_HALF = float(np.finfo(np.float16).max)
@@ -52,8 +46,8 @@ class Field:
     def __init__(
         self, asset: FieldData, min_density: float = 0.0, max_opacity: float = 1.0
     ) -> None:
-        self.asset = asset
-        self._min_density, self._max_opacity = min_density, max_opacity
+        self._law: Law = asset.law
+        self._l_max = asset.l_max
         self._blocked = max(1.0 - max_opacity, 0.0 if asset.law == "linear" else BLOCKED)
         children = asset.children
         if min_density > 0:
@@ -68,13 +62,6 @@ class Field:
         self._max_radiance = parameter(mi.Color3f, *largest)
         self._coefficients = on_device(mi.UInt32, packets)
         dr.eval(self._density, self._coefficients)
-
-    @functools.cached_property
-    def coarse(self) -> Field:
-        """Field of few leaves whose transmittance is about the same (`octree.field`)."""
-        if self.asset.tree_depth <= COARSE_DEPTH:
-            return self
-        return Field(coarsened(self.asset, self._min_density), max_opacity=self._max_opacity)
 
     def emission(
         self,
@@ -94,7 +81,27 @@ class Field:
         Returns:
             Radiance in units of the luminaire's scene; and transmittance in [0, 1].
         """
-        radiance, through, _ = self.integrate(origin, direction, active, _nothing, (), span)
+        y = basis(*towards_viewer(direction), l_max=self._l_max)
+
+        def shade(state, leaf, start, length, active):
+            radiance, tau, through = state
+            tau, after = self._cross(tau, leaf, length, active)
+            weight = through - after
+            lit = active & (weight > 0)
+            emission = dr.select(lit, weight * self._leaf_emission(leaf, y, lit), 0)
+            return radiance + emission, tau, after
+
+        clear = mi.Float(0), mi.Float(1)
+        (_, through), (radiance, _, _) = self._octree.traverse_and_shade(
+            origin,
+            direction,
+            mi.Bool(active),
+            self._visit,
+            clear,
+            shade,
+            (mi.Color3f(0), *clear),
+            span,
+        )
         return radiance, through
 
     def eval_rays(
@@ -108,71 +115,6 @@ class Field:
         )
         dr.eval(radiance, through)
         return np.stack([np.array(channel) for channel in radiance], axis=-1), np.array(through)
-
-    def integrate(
-        self,
-        origin: mi.Point3f,
-        direction: mi.Vector3f,
-        active: mi.Bool | bool,
-        record: Record,
-        recorded: Any,
-        span: Span = None,
-    ) -> tuple[mi.Color3f, mi.Float, Any]:
-        """As `emission`, and calls a function for every leaf that the ray reaches.
-
-        Args:
-            record: takes the recorded state, a leaf, the distance at which the line enters it, the
-                length of the line in it, a mask and the leaf's contribution to the radiance;
-                returns the new state.
-            recorded: tuple of Dr.Jit arrays, the first state.
-
-        Returns:
-            Radiance, transmittance and what is recorded.
-        """
-        y = basis(*towards_viewer(direction), l_max=self.asset.l_max)
-
-        def shade(state, leaf, start, length, active):
-            radiance, tau, through, recorded = state
-            tau, after = self._cross(tau, leaf, length, active)
-            weight = through - after
-            lit = active & (weight > 0)
-            emission = dr.select(lit, weight * self._leaf_emission(leaf, y, lit), 0)
-            recorded = record(recorded, leaf, start, length, active, emission)
-            return radiance + emission, tau, after, recorded
-
-        clear = mi.Float(0), mi.Float(1)
-        (_, through), (radiance, _, _, recorded) = self._octree.traverse_and_shade(
-            origin,
-            direction,
-            mi.Bool(active),
-            self._visit,
-            clear,
-            shade,
-            (mi.Color3f(0), *clear, recorded),
-            span,
-        )
-        return radiance, through, recorded
-
-    def cross(
-        self,
-        origin: mi.Point3f,
-        direction: mi.Vector3f,
-        active: mi.Bool | bool,
-        record: Record,
-        recorded: Any,
-    ) -> Any:
-        """The recorded state of `integrate`, at a lower cost.
-
-        `record` is called without the contribution to the radiance.
-        """
-
-        def visit(state, leaf, start, length, active):
-            passed, recorded = state
-            passed, onwards = self._visit(passed, leaf, start, length, active)
-            return (passed, record(recorded, leaf, start, length, active)), onwards
-
-        state = ((mi.Float(0), mi.Float(1)), recorded)
-        return self._octree.traverse(origin, direction, mi.Bool(active), visit, state)[1]
 
     def transmittance(
         self,
@@ -193,11 +135,11 @@ class Field:
         """Optical depth and transmittance after a leaf."""
         density = dr.gather(mi.Float, self._density, leaf, active)
         tau = tau + dr.select(active, density * length, 0)
-        return tau, mi.Float(transmittance(tau, self.asset.law, dr))
+        return tau, mi.Float(transmittance(tau, self._law, dr))
 
     def _leaf_emission(self, leaf, y, active):
         """Φ of Eq. 6 for leaves [index], with the basis values `y` of the ray."""
-        count, packets = len(y), _width(self.asset.l_max) // _PACKET
+        count, packets = len(y), _width(self._l_max) // _PACKET
         flat = []
         for packet in range(packets):
             index = leaf * packets + packet
@@ -210,10 +152,6 @@ class Field:
                 total = dr.fma(flat[channel * count + k], y[k], total)
             channels.append(dr.rcp(1 + dr.exp(-total)))
         return self._max_radiance * mi.Color3f(*channels)
-
-
-def _nothing(recorded, *_):
-    return recorded
 
 
 def _width(l_max: int) -> int:
@@ -245,29 +183,9 @@ def _from_half(bits, unit):
     return dr.reinterpret_array(mi.Float, word) * unit
 
 
-_LOCK = threading.Lock()
-_SHARED: weakref.WeakKeyDictionary[FieldData, dict[str | None, weakref.ref[Field]]] = (
-    weakref.WeakKeyDictionary()
-)
-
-
 def shared_field(asset: FieldData) -> Field:
     """Field of an asset in the variant that is set; all users of an asset share one copy."""
-    key = mi.variant()
-    with _LOCK:
-        known = _SHARED.setdefault(asset, {}).get(key)
-    field = None if known is None else known()
-    if field is None:
-        # Mitsuba creates plugins in parallel, and a thread that waits for the device may create
-        # others meanwhile. So the lock is not held here; of two fields, the first is kept.
-        field = Field(asset)
-        with _LOCK:
-            known = _SHARED[asset].get(key)
-            other = None if known is None else known()
-            if other is not None:
-                return other
-            _SHARED[asset][key] = weakref.ref(field)
-    return field
+    return shared(asset, "field", lambda: Field(asset))
 
 
 class FieldData(Protocol):
@@ -333,20 +251,16 @@ class CoarseField:
         return np.zeros((self.num_leaves, 3, 1), np.float16)
 
 
-def coarsened(asset: FieldData, min_density: float = 0.0) -> CoarseField:
+def coarsened(asset: FieldData) -> CoarseField:
     """Field of depth `COARSE_DEPTH` with about the same mean transmittance.
 
     A cell that has leaves of the given field gets the density with which it transmits as much light
     along x, y and z together, by the area of the cell across each, as the leaves do on average. Of
     a cell that a face of the bounding box divides the part inside counts, to which rays are
     clipped. The law of the result is the exponential one, whatever the law of the given field.
-
-    Args:
-        asset: a field.
-        min_density: leaves below this density (per local unit) count as empty.
     """
     cells, levels = leaf_cells(asset.children, asset.num_leaves)
-    density = np.where(asset.density < min_density, 0, asset.density).astype(np.float64)
+    density = asset.density.astype(np.float64)
     resolution, side = 1 << _FINE_LEVELS, 2.0 / (1 << COARSE_DEPTH)
     half = asset.frame.half_extents
     # Leaves that are not below the coarse depth stay.

@@ -12,7 +12,6 @@ estimation could not find a light behind glass, and paths would find its caustic
 
 from __future__ import annotations
 
-import weakref
 from collections.abc import Sequence
 from typing import Any, Protocol, runtime_checkable
 
@@ -21,7 +20,6 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.asset import Asset
 from lumitree.asset.geometry import AssetGeometry
 from lumitree.asset.geometry_media import MEDIA_SIDES, scattering_sides, side_medium
 from lumitree.asset.materials import is_specular
@@ -30,141 +28,86 @@ from lumitree.core.device import parameter, transforms_as_parameters
 from lumitree.core.frames import LocalFrame, similarity_scale
 from lumitree.core.mitsuba_meshes import make_mesh
 from lumitree.rendering.objects import load_ordered, make_object, make_properties
-from lumitree.rendering.straight_light import EmittingSurface, StraightLight, emitting_surface
+from lumitree.rendering.straight_light import EmittingSurface, emitting_surface
 
-_STRAIGHT: weakref.WeakKeyDictionary[Asset, dict[str, StraightLight]] = weakref.WeakKeyDictionary()
-_SURFACES: weakref.WeakKeyDictionary[AssetGeometry, dict[str, _Surfaces]] = (
-    weakref.WeakKeyDictionary()
-)
+# Marks a BSDF that light crosses straight, in `flags()`; Mitsuba does not use this bit.
+CROSSED_STRAIGHT = 1 << 24
 
 
-def geometry_shapes(
-    geometry: AssetGeometry, scene_from_world: NDArray[np.float64], lamp: Any
-) -> list[mi.Shape]:
-    """The shapes of an asset's geometry.
+def geometry_shapes(scene_from_world: NDArray[np.float64], lamp: Any) -> list[mi.Shape]:
+    """The shapes of the geometry of a lamp's asset.
 
     Args:
         scene_from_world: [4, 4] similarity, from the frame of the luminaire's file to the scene.
-        lamp: emitter `lumitree` of the proxy, whose gain applies to the shapes too.
+        lamp: the `PlacedLamp` at this place; its gain applies to the shapes too.
     """
-    builder = _Builder(geometry, scene_from_world, lamp)
-    return [
-        builder.shape(shape, mesh)
-        for shape, mesh in zip(geometry.shapes, geometry.meshes(), strict=True)
-    ]
-
-
-def straight_light(asset: Asset) -> StraightLight | None:
-    """The emitters of an asset's geometry, shared by all instances of a lamp; None without any."""
-    geometry = asset.geometry
+    geometry = lamp.asset.geometry
     assert geometry is not None
-    lights, key = _STRAIGHT.setdefault(asset, {}), str(mi.variant())
-    if key not in lights:
-        surfaces = emitting_surfaces(geometry, asset.frame)
-        if not surfaces:
-            return None
-        half_extents = asset.frame.half_extents
-        light = StraightLight(surfaces, asset.light_field, half_extents, asset.gain)
-        return lights.setdefault(key, light)
-    return lights[key]
-
-
-def emitting_surfaces(geometry: AssetGeometry, frame: LocalFrame) -> list[EmittingSurface]:
-    """The shapes of a geometry that emit, in the local frame."""
-    matrix = frame.local_from_world @ geometry.file_from_geometry
-    found = []
+    surfaces, straight = lamp.device.surfaces, lamp.device.straight
+    # From the geometry's coordinates, in double precision: they may be far from the file's.
+    matrix = scene_from_world @ geometry.file_from_geometry
+    scale = similarity_scale(scene_from_world, "to_world")
+    rotation, emitter = matrix[:3, :3] / scale, geometry_emitter_class()
+    densities = iter([] if straight is None else straight.densities)
+    # By their descriptions: all shapes of one medium share an object.
+    media: dict[str, mi.Medium] = {}
+    made = []
     for shape, mesh in zip(geometry.shapes, geometry.meshes(), strict=True):
-        if shape["radiance"] is not None:
-            radiance = _surfaces(geometry).emitted(shape["radiance"])
-            source = radiance if radiance.constant is None else radiance.constant
-            found.append(emitting_surface(shape, mesh, source, matrix))
-    return found
-
-
-class _Builder:
-    def __init__(
-        self, geometry: AssetGeometry, scene_from_world: NDArray[np.float64], lamp: Any
-    ) -> None:
-        self._geometry, self._lamp = geometry, lamp
-        # From the geometry's coordinates, in double precision: they may be far from the file's.
-        self._matrix = scene_from_world @ geometry.file_from_geometry
-        straight = lamp.straight
-        self._densities = iter([] if straight is None else straight.densities)
-        # By their descriptions: all shapes of one medium share an object.
-        self._media: dict[str, Any] = {}
-        self._scale = similarity_scale(scene_from_world, "to_world")
-        self._emitter = geometry_emitter_class()
-        self._surfaces = _surfaces(geometry)
-
-    def shape(self, shape: Json, mesh: dict[str, NDArray[Any]] | None) -> mi.Shape:
-        """A shape of the geometry, with its BSDF and its emitter."""
-        material = self._geometry.materials[shape["material"]]
-        radiance = shape["radiance"]
-        bsdf = self._surfaces.bsdf(shape)
-        values = {"flip_normals": shape["flipped"], "bsdf": bsdf}
+        values: dict[str, Any] = {
+            "flip_normals": shape["flipped"],
+            "bsdf": surfaces.bsdf(shape),
+        }
         # A surface that shows other things needs no emitter: it neither emits nor scatters.
-        emitted = None if radiance is None else self._surfaces.emitted(radiance)
-        if radiance is not None or not is_specular(material):
-            density = 0.0
-            if emitted is not None:
-                density = next(self._densities) / self._lamp.placed.numbers[0] ** 2
-            values["emitter"] = self._emitter(self._lamp, emitted, density)
+        if shape["radiance"] is not None:
+            density = next(densities) / lamp.numbers[0] ** 2
+            values["emitter"] = emitter(lamp, surfaces.emitted(shape["radiance"]), density)
+        elif not is_specular(geometry.materials[shape["material"]]):
+            values["emitter"] = emitter(lamp)
         for side in MEDIA_SIDES:
             if side in shape:
-                values[side] = self._medium(shape[side])
+                key = repr(shape[side])
+                if key not in media:
+                    media[key] = _medium(shape[side], scale)
+                values[side] = media[key]
         if mesh is None:
-            matrix = self._matrix @ np.array(shape["to_world"], np.float64)
-            values["to_world"] = mi.ScalarTransform4d(matrix)
-            made = make_object(shape["type"], values)
-            transforms_as_parameters([made])
+            to_world = matrix @ np.array(shape["to_world"], np.float64)
+            values["to_world"] = mi.ScalarTransform4d(to_world)
+            made.append(make_object(shape["type"], values))
+            transforms_as_parameters(made[-1:])
         else:
-            made = self._mesh(mesh, make_properties("", values))
-        return made
-
-    def _mesh(self, mesh: dict[str, NDArray[Any]], props: mi.Properties) -> mi.Mesh:
-        rotation = self._matrix[:3, :3] / self._scale
-        vertices = mesh["vertices"] @ self._matrix[:3, :3].T + self._matrix[:3, 3]
-        placed = {**mesh, "vertices": vertices, "normals": mesh["normals"] @ rotation.T}
-        return make_mesh("geometry", placed, props)
-
-    def _medium(self, described: Any) -> mi.Medium:
-        """The medium of a side of a shape, whose coefficients are per unit of the file."""
-        key = repr(described)
-        if key not in self._media:
-            absorption, scattering, anisotropy = side_medium(described)
-            extinction = absorption + scattering
-            densest = max(*extinction, 1e-30)
-            albedo = scattering / np.maximum(extinction, 1e-30)
-            phase = make_object("hg", {"g": anisotropy})
-            self._media[key] = make_object(
-                "homogeneous",
-                {
-                    "sigma_t": mi.ScalarColor3d(extinction / densest),
-                    "albedo": mi.ScalarColor3d(albedo),
-                    "scale": densest / self._scale,
-                    "phase": phase if anisotropy else make_object("isotropic", {}),
-                },
-            )
-        return self._media[key]
+            vertices = mesh["vertices"] @ matrix[:3, :3].T + matrix[:3, 3]
+            moved = {**mesh, "vertices": vertices, "normals": mesh["normals"] @ rotation.T}
+            made.append(make_mesh("geometry", moved, make_properties("", values)))
+    return made
 
 
-def _surfaces(geometry: AssetGeometry) -> _Surfaces:
-    """BSDFs and textures of an asset's geometry, made on first use."""
-    known, variant = _SURFACES.setdefault(geometry, {}), str(mi.variant())
-    if variant not in known:
-        # Mitsuba creates plugins in parallel: of two, the first is kept.
-        return known.setdefault(variant, _Surfaces(geometry))
-    return known[variant]
+def _medium(described: Any, scale: float) -> mi.Medium:
+    """The medium of a side of a shape, whose coefficients are per unit of the file."""
+    absorption, scattering, anisotropy = side_medium(described)
+    extinction = absorption + scattering
+    densest = max(*extinction, 1e-30)
+    albedo = scattering / np.maximum(extinction, 1e-30)
+    phase = make_object("hg", {"g": anisotropy})
+    values = {
+        "sigma_t": mi.ScalarColor3d(extinction / densest),
+        "albedo": mi.ScalarColor3d(albedo),
+        "scale": densest / scale,
+        "phase": phase if anisotropy else make_object("isotropic", {}),
+    }
+    return make_object("homogeneous", values)
 
 
-class _Surfaces:
+class Surfaces:
     """The BSDFs and textures of an asset's geometry, which its instances share."""
 
     def __init__(self, geometry: AssetGeometry) -> None:
-        self._materials, self._glass = Materials(geometry.images), geometry_glass_class()
-        self._kinds = [material["type"] for material in geometry.materials]
+        self._geometry, self._materials = geometry, Materials(geometry.images)
+        glass = geometry_glass_class()
         self._bsdfs = [self._materials.bsdf(material) for material in geometry.materials]
-        self._crossed = list(map(self._top, self._kinds, self._bsdfs))
+        self._crossed = [
+            glass(bsdf) if material["type"] == "dielectric" else bsdf
+            for material, bsdf in zip(geometry.materials, self._bsdfs, strict=True)
+        ]
 
     def bsdf(self, shape: Json) -> mi.BSDF:
         """The BSDF of a shape of the geometry.
@@ -179,8 +122,16 @@ class _Surfaces:
         """Radiance of a shape."""
         return self._materials.radiance(radiance)
 
-    def _top(self, kind: str, bsdf: mi.BSDF) -> mi.BSDF:
-        return self._glass(bsdf) if kind == "dielectric" else bsdf
+    def emitting(self, frame: LocalFrame) -> list[EmittingSurface]:
+        """The shapes that emit, in the local frame."""
+        geometry, found = self._geometry, []
+        matrix = frame.local_from_world @ geometry.file_from_geometry
+        for shape, mesh in zip(geometry.shapes, geometry.meshes(), strict=True):
+            if shape["radiance"] is not None:
+                radiance = self.emitted(shape["radiance"])
+                source = radiance if radiance.constant is None else radiance.constant
+                found.append(emitting_surface(shape, mesh, source, matrix))
+        return found
 
 
 class Radiance:
@@ -266,10 +217,6 @@ class Materials:
         }
 
 
-# Marks a BSDF that light crosses straight, in `flags()`; Mitsuba does not use this bit.
-CROSSED_STRAIGHT = 1 << 24
-
-
 @runtime_checkable
 class GeometryEmitter(Protocol):
     """Emitter of a shape of a lamp's geometry, which `lumitree_path` evaluates.
@@ -308,7 +255,7 @@ def geometry_emitter_class() -> type:
         def __init__(
             self, lamp: Any, radiance: Radiance | None = None, density: float = 0.0
         ) -> None:
-            """Emitter of a shape of the lamp whose proxy has the emitter `lamp`.
+            """Emitter of a shape of a `PlacedLamp`.
 
             Args:
                 radiance: of the shape; None if it is black.
@@ -316,9 +263,9 @@ def geometry_emitter_class() -> type:
             """
             super().__init__(make_properties("lumitree_geometry", {"sampling_weight": 0.0}))
             self._lamp, self._radiance = lamp, radiance
-            self._gain = parameter(mi.Color3f, *lamp.placed.asset.gain)
+            self._gain = parameter(mi.Color3f, *lamp.asset.gain)
             self._density = parameter(mi.Float, density)
-            self.traced = lamp.placed.traces_straight_light
+            self.traced = lamp.traces_straight_light
             self.m_flags = mi.EmitterFlags.Surface | mi.EmitterFlags.SpatiallyVarying
 
         def eval_self_emission(self, si, it, ds, active):
@@ -327,7 +274,7 @@ def geometry_emitter_class() -> type:
             pdf = self._density * dr.square(ds.dist) / dr.abs(dr.dot(ds.d, si.n))
             front = active & (mi.Frame3f.cos_theta(si.wi) > 0)
             radiance = self._lamp.factor * self._gain * self._radiance(si, front)
-            return dr.select(front, self._lamp.light_colour(radiance, si.wavelengths), 0), pdf
+            return dr.select(front, self._lamp.colour(radiance, si.wavelengths), 0), pdf
 
         def eval(self, si, active=True):
             return mi.Spectrum(0)

@@ -40,27 +40,19 @@ import mitsuba as mi
 
 from lumitree.errors import LumitreeError
 from lumitree.lamp.media import absorption, media
-from lumitree.rendering.emitter import (
-    EmitterSample,
-    LampKinds,
-    entered_light,
-    entered_transmittance,
-    eval_target,
-    hit_light,
-    proxies_left_out,
-    sample_target,
-)
+from lumitree.rendering.emitter import EmitterSample
 from lumitree.rendering.geometry import CROSSED_STRAIGHT, GeometryEmitter
-from lumitree.rendering.lamp_choice import EmitterSelection, LampChoices, Selected
+from lumitree.rendering.lamps import EmitterSelection, LampChoices, LampKinds, Selected
 from lumitree.rendering.layers import Layers, Unrecorded
+from lumitree.rendering.null_bsdf import without_proxies
 from lumitree.rendering.proxies import MAX_CROSSINGS, NONE, Divided, DividedScene, is_instance
 from lumitree.rendering.sampling import mis_weight
 from lumitree.trace import medium_paths
 from lumitree.trace.geometric_normals import is_opaque, on_opposite_sides
 from lumitree.trace.spawning import offset, scene_extent, spawn
 
-# Density of directions whose emitters are left to emitter sampling: its square is no denormal.
-_LEFT_OUT = 1e-15
+# Density of directions whose emitters only emitter sampling finds: its square is no denormal.
+_SAMPLED_ONLY = 1e-15
 
 
 @dataclass
@@ -140,7 +132,7 @@ class PathState:
         path = cls.start(ray, medium, active)
         path.depth = mi.UInt32(1)
         path.si_prev = mi.Interaction3f(receiver)
-        path.bsdf_pdf_prev = mi.Float(_LEFT_OUT)
+        path.bsdf_pdf_prev = mi.Float(_SAMPLED_ONLY)
         path.bsdf_delta_prev = mi.Bool(False)
         path.specular_chain = mi.Bool(False)
         return path
@@ -344,7 +336,7 @@ def integrator_class() -> type:
     return LumitreePath
 
 
-@proxies_left_out()
+@without_proxies()
 @dr.syntax
 def trace_paths(
     scene: PathScene, path: PathState, sampler: mi.Sampler, max_depth: int, rr_depth: int
@@ -473,8 +465,8 @@ def add_entered_light(scene: PathScene, path: PathState, free_flight: FreeFlight
         emitter = scene.emitter(lamp, active)
         emitter_pmf = scene.selection.pmf(emitter, path.si_prev, active)
         emitter_pmf = dr.select(path.bsdf_delta_prev, 0, emitter_pmf)
-        light, through, emitter_pdf = scene.lamps.call(
-            entered_light,
+        light, through = scene.lamps.call(
+            "eval_entered",
             emitter,
             path.ray,
             distance,
@@ -485,7 +477,7 @@ def add_entered_light(scene: PathScene, path: PathState, free_flight: FreeFlight
             far,
             active,
         )
-        light *= path.β * mis_weight(path.bsdf_pdf_prev, emitter_pdf * emitter_pmf)
+        light *= path.β
         if dr.hint(scene.has_media, mode="scalar"):
             light *= medium_paths.segment_weight(
                 path.medium, distance, path.ρ, active, path.ray.wavelengths
@@ -549,7 +541,7 @@ def add_emission(scene: PathScene, path: PathState, hit: Hit) -> None:
     emitter_pmf = scene.selection.pmf(sampled, path.si_prev, seen)
     emitter_pmf = dr.select(path.bsdf_delta_prev, 0, emitter_pmf)
     light, emitter_pdf = scene.lamps.call(
-        hit_light, ds.emitter, hit.si, path.si_prev, ds, hit.shown, hit.straight, hit.hit_surface
+        "eval_hit", ds.emitter, hit.si, path.si_prev, ds, hit.shown, hit.straight, hit.hit_surface
     )
     # A density may be infinite, as of a point that is seen along the surface from `si_prev`.
     emitter_pdf = dr.select(emitter_pmf > 0, emitter_pdf * emitter_pmf, 0)
@@ -573,8 +565,10 @@ def sample_emitter(
     selected = scene.selection.sample(vertex.si, normal, without, sampler, active)
     active &= (selected.weight > 0) & (selected.index != without)
     emitter = scene.emitter(selected.index, active)
-    own = active & (selected.index == vertex.owner)
-    sampled = scene.lamps.call(sample_target, emitter, vertex.si, selected.sample, own, active)
+    self_light = active & (selected.index == vertex.owner)
+    sampled = scene.lamps.call(
+        "sample_target", emitter, vertex.si, selected.sample, self_light, active
+    )
     active &= sampled.valid
     return EmitterChoice(emitter, selected, sampled, active)
 
@@ -595,19 +589,16 @@ def add_emitter_light(
     light = path.β * scattering.value_em
     active &= dr.max(light) > 0
     # What passes a lamp's glass is in its light field, of which its own surfaces get nothing.
-    own = choice.selected.index == vertex.owner
-    target = dr.select(own, NONE, choice.selected.index)
+    self_light = choice.selected.index == vertex.owner
+    target = dr.select(self_light, NONE, choice.selected.index)
     light *= visible(scene, si, ds, choice.sampled.beyond, target, path.medium, active)
     active &= dr.max(light) > 0
     emitter_pmf = choice.selected.emitter_pmf
-    weight, pdf = scene.lamps.call(
-        eval_target, choice.emitter, si, choice.sampled, scattering.pdf_em, emitter_pmf, active
+    weight = scene.lamps.call(
+        "eval_target", choice.emitter, si, choice.sampled, scattering.pdf_em, emitter_pmf, active
     )
-    weight *= choice.selected.weight
-    pdf *= emitter_pmf
-    needs_no_mis = ds.delta | choice.sampled.includes_mis
-    light *= weight * dr.select(needs_no_mis, 1, mis_weight(pdf, scattering.pdf_em))
-    path.add_light(scene, choice.emitter, light, mi.Bool(False), active, own)
+    light *= weight * choice.selected.weight
+    path.add_light(scene, choice.emitter, light, mi.Bool(False), active, self_light)
 
 
 # ---------------------- Shadow rays ----------------------
@@ -625,10 +616,10 @@ def visible(
 ) -> mi.Spectrum:
     """Transmittance from a surface to a sampled point: 0 behind what is not null.
 
-    For a length `beyond` after the point, surfaces of the room block, but not the sampled
-    lamp's, whose index in the scene is `target`.
+    For a length `beyond` after the point, surfaces block that do not belong to the sampled lamp,
+    whose index in the scene is `target`.
     """
-    surfaces, proxies, room, passes, _ = scene.divided
+    surfaces, proxies, outside_lamps, passes, _ = scene.divided
     # Like Mitsuba's, a shadow ray ends before its goal; and by no less than it starts after its
     # origin, so that rounding does not bring it to the goal.
     margin = dr.maximum(ds.dist * mi.math.ShadowEpsilon, offset(si, scene.extent))
@@ -636,8 +627,8 @@ def visible(
     if dr.hint(scene.has_media, mode="scalar"):
         medium = medium_paths.medium_after(si, ds.d, medium, left)
     through = _transmittance(scene, surfaces, False, target, margin, ray, ds.p, medium, left)
-    if dr.hint(room is not None, mode="scalar"):
-        assert room is not None
+    if dr.hint(outside_lamps is not None, mode="scalar"):
+        assert outside_lamps is not None
         onwards = active & (beyond > 0) & (dr.max(through) > 0)
         rest = mi.Ray3f(ray)
         rest.o = dr.select(left, ds.p, ray.o)
@@ -645,9 +636,9 @@ def visible(
         goal = dr.fma(beyond, ds.d, rest.o)
         none = dr.zeros(mi.MediumPtr)
         through *= _transmittance(
-            scene, room, passes, target, mi.Float(0), rest, goal, none, onwards
+            scene, outside_lamps, passes, target, mi.Float(0), rest, goal, none, onwards
         )
-    if dr.hint(proxies.dim, mode="scalar"):
+    if dr.hint(proxies.attenuate, mode="scalar"):
         crossed = left & (dr.max(through) > 0)
         distance, lamp = proxies.first(ray, ray.maxt, crossed)
         crossed &= lamp != NONE
@@ -656,7 +647,7 @@ def visible(
         whole.maxt = dr.select(scene.divided.owners.bit(target, active) != 0, dr.inf, ray.maxt)
         while crossed:
             emitter = scene.emitter(lamp, crossed)
-            dimmed = scene.lamps.call(entered_transmittance, emitter, whole, distance, crossed)
+            dimmed = scene.lamps.call("transmittance", emitter, whole, distance, crossed)
             # Its own light is as it is seen through the lamp.
             through *= dr.select(crossed & (lamp != target), dimmed, 1)
             distance, lamp = proxies.next(ray, distance, lamp, ray.maxt, crossed)

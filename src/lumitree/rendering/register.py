@@ -30,8 +30,7 @@ from lumitree.lamp.metallic_roughness import register_metallic_roughness
 
 if TYPE_CHECKING:
     from lumitree.asset.asset import Asset
-    from lumitree.rendering.emitter import Appearance
-    from lumitree.rendering.lamp_sampler import Sampling
+    from lumitree.rendering.emitter import Appearance, Sampling
 
 _registered: set[str] = set()
 _TOO_MANY = (
@@ -51,7 +50,7 @@ def register() -> None:
         return
     # Their classes extend Mitsuba's, which a variant has to be set for.
     emitter = importlib.import_module("lumitree.rendering.emitter").emitter_class()
-    bsdf = importlib.import_module("lumitree.rendering.emitter").null_bsdf_class()
+    bsdf = importlib.import_module("lumitree.rendering.null_bsdf").null_bsdf_class()
     box = importlib.import_module("lumitree.rendering.shapes").box_class()
     integrator = importlib.import_module("lumitree.rendering.integrator").integrator_class()
     make = importlib.import_module("lumitree.rendering.shapes").make_shapes

@@ -14,30 +14,27 @@ from lumitree.core.arguments import check_gain
 from lumitree.core.frames import similarity_scale
 from lumitree.core.mitsuba_meshes import copy_mesh
 from lumitree.lamp.media import media_of, scatters
-from lumitree.octree.field import Field
-from lumitree.rendering.asset_cache import file_name, open_asset, open_field
+from lumitree.rendering.asset_cache import file_name, open_asset
 from lumitree.rendering.emitter import (
     GEOMETRY_MARGIN,
     Appearance,
-    Placed,
+    Sampling,
     check_kinds,
     shows_geometry,
 )
 from lumitree.rendering.geometry import geometry_shapes
-from lumitree.rendering.lamp_sampler import Sampling
 from lumitree.rendering.objects import (
     load_ordered,
     make_object,
-    make_properties,
     medium_number,
     shape_number,
 )
 
 
 class _Shape(dict[str, Any]):
-    """A shape dictionary that keeps its field open, so that its plugins need not read it again."""
+    """A shape dictionary that keeps its asset open, so that its plugins need not read it again."""
 
-    field: Field
+    asset: Asset
 
 
 def describe_proxy(
@@ -57,7 +54,6 @@ def describe_proxy(
     opened = open_asset(asset)
     if appearance is None:
         appearance = "geometry" if opened.geometry is not None else "field"
-    field = open_field(opened)
     # In double precision where the transform ends far from where it begins.
     transform = mi.ScalarTransform4d if opened.frame.is_far else mi.ScalarTransform4f
     options = {
@@ -71,7 +67,7 @@ def describe_proxy(
         description = _Shape(type="lumitree_proxy", gain=list(factors), **options)
     else:
         description = _proxy(opened, matrix, 0.0, list(factors), options)
-    description.field = field
+    description.asset = opened
     return description
 
 
@@ -84,17 +80,14 @@ def make_shapes(name: str, **options: Any) -> Any:
     if description["type"] != "lumitree_proxy":
         return load_ordered(description)
     properties = {n: value for n, value in description.items() if n not in ("type", "gain")}
-    placed = Placed(make_properties("lumitree_proxy", properties))
+    asset = open_asset(properties["filename"])
     matrix = np.array(properties["to_world"].matrix, np.float64).reshape(4, 4)
-    proxy = load_ordered(
-        _proxy(placed.asset, matrix, GEOMETRY_MARGIN, description["gain"], properties)
-    )
+    proxy = load_ordered(_proxy(asset, matrix, GEOMETRY_MARGIN, description["gain"], properties))
+    lamp = proxy.emitter().lamp
     # The plugin `merge` expands into the shapes that it is given.
-    assert placed.asset.geometry is not None
-    shapes = geometry_shapes(placed.asset.geometry, matrix, proxy.emitter())
-    own = proxy.emitter().placed
-    own.own_shapes += map(shape_number, shapes)
-    own.own_media += {medium_number(each) for each in media_of(shapes) if scatters(each)}
+    shapes = geometry_shapes(matrix, lamp)
+    lamp.own_shapes += map(shape_number, shapes)
+    lamp.own_media += {medium_number(each) for each in media_of(shapes) if scatters(each)}
     together = {f"geometry_{index}": shape for index, shape in enumerate(shapes)}
     proxy.set_id(name)
     for key, shape in together.items():

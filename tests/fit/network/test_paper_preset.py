@@ -10,7 +10,7 @@ from lumitree.fit.network.config import PRESETS
 from lumitree.fit.network.losses import EPSILON
 from lumitree.fit.network.step import learning_rate
 from lumitree.octree.extract import extract
-from lumitree.rendering.lamp_sampler import SAMPLING_KINDS
+from lumitree.rendering.emitter import SAMPLING_KINDS
 
 CONFIG, BAKE = PRESETS["paper"], NETWORK_BAKES["paper"]
 

@@ -40,7 +40,7 @@ from lumitree.measure.illuminance.light import (
     reflected_light,
     summed_part,
 )
-from lumitree.rendering.emitter import DeferredEmitter
+from lumitree.rendering.emitter import lamps_of
 from lumitree.rendering.integrator import PathScene
 
 # Samples that are computed at once, and of a receiver in a pass.
@@ -325,7 +325,7 @@ def _summed(
     scene: PathScene, points: _Array, normals: _Array, error: float, seed: int
 ) -> tuple[_Array, _Array]:
     """S [N], lx, and the variance of it; `error` as for `estimate`."""
-    lamps = [each for each in scene.whole.emitters() if isinstance(each, DeferredEmitter)]
+    lamps = lamps_of(scene.whole.emitters())
     if not lamps:
         return np.zeros(len(points)), np.zeros(len(points))
     sums, left, count = _Moments(len(points)), np.arange(len(points)), _SUMS
@@ -335,7 +335,7 @@ def _summed(
             stream = SeedStream(Purpose.ILLUMINANCE, step, 1)
             si = receivers(points[index], normals[index], count)
             found = np.zeros((len(index), count))
-            for number, lamp in enumerate(lamps):
+            for number, lamp in enumerate(lamps.values()):
                 random = mi.PCG32(dr.width(si.p), stream.seed(seed, number))
                 summed = lamp.is_summed(si.p, dr.full(mi.Bool, True, dr.width(si.p)))
                 light = lamp.irradiance(si.p, mi.Vector3f(si.n), random, summed) & summed

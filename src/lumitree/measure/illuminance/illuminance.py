@@ -301,14 +301,13 @@ def _paths(scene: Any, title: str) -> "PathScene":
 
 def _light_boxes(scene: Any, points: NDArray[np.float64]) -> None:
     """Let the lamps in whose boxes there are points light what is inside."""
-    from lumitree.rendering.emitter import DeferredEmitter
+    from lumitree.rendering.emitter import lamps_of
 
-    for emitter in scene.emitters():
-        if isinstance(emitter, DeferredEmitter):
-            box = np.linalg.inv(emitter.placed.scene_from_box)
-            local = points @ box[:3, :3].T + box[:3, 3]
-            if (np.abs(local) <= 1.01).all(axis=1).any():
-                emitter.light_inside()
+    for lamp in lamps_of(scene.emitters()).values():
+        box = np.linalg.inv(lamp.scene_from_box)
+        local = points @ box[:3, :3].T + box[:3, 3]
+        if (np.abs(local) <= 1.01).all(axis=1).any():
+            lamp.light_inside()
 
 
 def _parts(areas: Sequence[Receivers]) -> list[slice]:

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.device import on_device
-from lumitree.rendering.emitter import eval_target, is_summed, sample_target
 from lumitree.rendering.integrator import (
     DEFAULT_RR_DEPTH,
     PathScene,
@@ -90,14 +89,14 @@ def emitter_light(
     selected = scene.selection.sample(si, mi.Vector3f(si.n), mi.UInt32(NONE), sampler, active)
     active &= selected.weight > 0
     emitter = scene.emitter(selected.index, active)
-    own = mi.Bool(False)
-    sampled = dr.dispatch(emitter, sample_target, si, selected.sample, own, active)
+    self_light = mi.Bool(False)
+    sampled = scene.lamps.call("sample_target", emitter, si, selected.sample, self_light, active)
     ds = sampled.ds
     cosine = dr.maximum(dr.dot(si.n, ds.d), 0)
     found = active & sampled.valid & (cosine > 0)
     through = visible(scene, si, ds, sampled.beyond, selected.index, medium, found)
-    weight, _ = dr.dispatch(
-        emitter, eval_target, si, sampled, cosine * bsdf_pdf, selected.emitter_pmf, found
+    weight = scene.lamps.call(
+        "eval_target", emitter, si, sampled, cosine * bsdf_pdf, selected.emitter_pmf, found
     )
     light = dr.select(found, weight * (cosine * selected.weight), 0)
     return EmitterLight(emitter, light, through, found, sampled.target.place == OUTSIDE)
@@ -114,7 +113,7 @@ def behind_surfaces(scene: PathScene, si: mi.SurfaceInteraction3f, sampler: mi.S
 
 def summed_part(scene: PathScene, si: mi.SurfaceInteraction3f, light: EmitterLight) -> mi.Bool:
     """Whether the emitter's irradiance is known without sampling directions."""
-    return light.stored & dr.dispatch(light.emitter, is_summed, si.p, light.found)
+    return light.stored & scene.lamps.call("is_summed", light.emitter, si.p, light.found)
 
 
 def reflected_light(

@@ -1,8 +1,9 @@
-"""Which lamp next-event estimation samples: by what each sends to the receiver.
+"""The emitters of a scene: which one next-event estimation samples, and calls of their methods.
 
-Candidates come from a table, which depends on the cell of the scene that the receiver is in. One of
-them is chosen in proportion to an estimate of the irradiance that it sends to the receiver
-(resampled importance sampling, Talbot et al. 2005).
+Lamps are sampled by the light that they send to the receiver. Candidates come from a table, which
+depends on the cell of the scene that the receiver is in. One of them is chosen in proportion to an
+estimate of its irradiance at the receiver (resampled importance sampling, Talbot et al. 2005).
+`LampKinds` records the code of a method once for each kind of lamp.
 
 Symbols
     N       lamps               K       candidates
@@ -21,8 +22,9 @@ Symbols
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -31,7 +33,7 @@ from numpy.typing import NDArray
 
 from lumitree.core.alias_table import AliasTable
 from lumitree.core.device import on_device, parameter
-from lumitree.rendering.emitter import DeferredEmitter
+from lumitree.rendering.emitter import OtherEmitter, PlacedLamp, lamp_of, lamps_of
 from lumitree.rendering.sampling import divide_sample
 
 # What stands for no lamp.
@@ -44,9 +46,16 @@ _EVEN_PART = 0.1
 # Added to s, so that rounding does not bring a lamp below the horizon; and least cos θ' within the
 # sphere, where light may come from any side.
 _SLACK, _LEAST_COSINE = 1e-3, 0.25
+# Part of the samples for emitters that are no baked luminaires, where a scene has both. Whichever
+# light the scene, this at most doubles the second moment of an estimate.
+_OTHERS = 0.5
 # Packets of four numbers of a lamp on the device: centre and radius; intensities towards +x, +y,
 # +z; towards -x, -y, -z.
 _PACKETS = 3
+# Packets of four numbers of a lamp's pose (`PlacedAsset.numbers`).
+_PACKETS_OF_POSE = 4
+# Arrays that one kernel joins: with 1,000, LLVM compiles it for more than ten minutes.
+_JOINED = 16
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -241,11 +250,6 @@ def _table(
         yield weights
 
 
-# Part of the samples for emitters that are no baked luminaires, where a scene has both. Whichever
-# light the scene, this at most doubles the second moment of an estimate.
-_OTHERS = 0.5
-
-
 @dataclass
 class Selected:
     """An emitter that was selected (a PyTree of Dr.Jit)."""
@@ -273,20 +277,17 @@ class EmitterSelection:
         self._scene, emitters = scene, scene.emitters()
         weights = np.array([emitter.sampling_weight() for emitter in emitters])
         self._total_weight = float(weights.sum())
-        # Of those whose weight is 0 the rays of BSDFs find all light.
-        lamps = {
-            i: each
-            for i, each in enumerate(emitters)
-            if isinstance(each, DeferredEmitter) and weights[i] > 0
-        }
+        # If the weight of an emitter is 0, the rays of BSDFs find all of its light.
+        lamps = {i: each for i, each in lamps_of(emitters).items() if weights[i] > 0}
         self.by_receiver = len(lamps) > 1
         if not self.by_receiver:
             return
         indices = np.array(list(lamps))
-        centres, radii = zip(*(lamp.placed.sphere for lamp in lamps.values()), strict=True)
+        centres, radii = zip(*(lamp.sphere for lamp in lamps.values()), strict=True)
         intensities = np.array([lamp.axis_intensities() for lamp in lamps.values()])
         intensities *= weights[indices, None]
-        low, high = (np.array(each, np.float64).ravel() for each in _corners(scene))
+        box = scene.bbox()
+        low, high = (np.array(each, np.float64).ravel() for each in (box.min, box.max))
         self._lamps = choices.of(
             Lamps(indices, np.array(centres), np.array(radii), intensities, low, high)
         )
@@ -340,22 +341,103 @@ class EmitterSelection:
             weight = dr.select(other, dr.rcp(pmf), weight)
         return Selected(index, weight, pmf, sample)
 
-    def pmf_by_weight(self, emitter: mi.EmitterPtr) -> mi.Float:
-        """Probability of `mi.Scene.sample_emitter`."""
-        return emitter.sampling_weight() * dr.rcp(self._total_weight)
-
     def pmf(
         self, emitter: mi.EmitterPtr, it: mi.Interaction3f, active: mi.Bool | bool = True
     ) -> mi.Float:
         """`Selected.emitter_pmf` that an emitter of the scene has for a receiver."""
         if not self.by_receiver:
-            return self.pmf_by_weight(emitter)
+            return emitter.sampling_weight() * dr.rcp(self._total_weight)
         number = dr.reinterpret_array(mi.UInt32, emitter)
         index = dr.gather(mi.UInt32, self._index_of, number, active)
         pmf = self._lamps.pmf(index, it.p, mi.Bool(active))
         return dr.gather(mi.Float, self._pmf_of, number, active) + self._part * pmf
 
 
-def _corners(scene: mi.Scene) -> tuple[mi.Point3f, mi.Point3f]:
-    box = scene.bbox()
-    return box.min, box.max
+class LampKinds:
+    """The emitters of a scene by kind: lamps of a kind differ by numbers only.
+
+    `dr.dispatch` records a function once for each emitter, which takes seconds of every image where
+    there are hundreds. The numbers of lamps are read from a table here.
+
+    Args:
+        emitters, pointers: the two lists of them that a scene has.
+    """
+
+    def __init__(self, emitters: list[mi.Emitter], pointers: mi.EmitterPtr) -> None:
+        lamps = lamps_of(emitters)
+        self._others = len(emitters) > len(lamps)
+        kinds: dict[Hashable, int] = {}
+        self._lamps: list[PlacedLamp] = []
+        numbers = np.array(dr.reinterpret_array(mi.UInt32, pointers))
+        # By the number of an emitter among all emitters of the process.
+        kind_of = np.full(numbers.max(initial=0) + 1, len(lamps), np.uint32)
+        rows = np.zeros((len(kind_of), 4 * _PACKETS_OF_POSE))
+        slot_of = np.zeros(len(kind_of), np.uint32)
+        for slot, (index, lamp) in enumerate(lamps.items()):
+            kind = kinds.setdefault(_kind(lamp), len(kinds))
+            if kind == len(self._lamps):
+                self._lamps.append(lamp)
+            number = numbers[index]
+            kind_of[number], slot_of[number] = kind, slot
+            rows[number, : len(lamp.numbers)] = lamp.numbers
+        self._apart = len(lamps) > len(kinds)
+        if not self._apart:
+            return
+        kind_of[kind_of == len(lamps)] = len(kinds)
+        self._kind_of, self._slot_of = on_device(mi.UInt32, kind_of), on_device(mi.UInt32, slot_of)
+        self._rows = on_device(mi.Float, rows)
+        self._gains = joined_colours([lamp.gain for lamp in lamps.values()])
+
+    def call(self, method: str, emitter: mi.EmitterPtr, *args: Any) -> Any:
+        """Call a method of `PlacedLamp` of emitters, or of `OtherEmitter`, by its name."""
+
+        def of_any(emitter: mi.Emitter, *args: Any) -> Any:
+            return getattr(lamp_of(emitter) or OtherEmitter(emitter), method)(*args)
+
+        def of_other(_: mi.UInt32, pointer: mi.EmitterPtr, *args: Any) -> Any:
+            def record(emitter: mi.Emitter, *args: Any) -> Any:
+                return getattr(OtherEmitter(None if lamp_of(emitter) else emitter), method)(*args)
+
+            if self._others:
+                return dr.dispatch(pointer, record, *args)
+            return getattr(OtherEmitter(None), method)(*args)
+
+        def of_kind(lamp: PlacedLamp) -> Any:
+            def record(number: mi.UInt32, _: mi.EmitterPtr, *args: Any) -> Any:
+                packets = [
+                    dr.gather(mi.Vector4f, self._rows, _PACKETS_OF_POSE * number + i)
+                    for i in range(_PACKETS_OF_POSE)
+                ]
+                values = [value for packet in packets for value in packet]
+                gain = dr.gather(
+                    mi.Color3f, self._gains, dr.gather(mi.UInt32, self._slot_of, number)
+                )
+                return getattr(lamp.moved(values, gain), method)(*args)
+
+            return record
+
+        if not self._apart:
+            return dr.dispatch(emitter, of_any, *args)
+        number = dr.reinterpret_array(mi.UInt32, emitter)
+        kind = dr.gather(mi.UInt32, self._kind_of, number)
+        targets = [*map(of_kind, self._lamps), of_other]
+        return dr.switch(kind, targets, number, emitter, *args)
+
+
+def joined_colours(colours: list[mi.Color3f]) -> mi.Color3f:
+    """Evaluated arrays, one after another, in one; derivatives pass through."""
+    while len(colours) > 1:
+        groups = [colours[i : i + _JOINED] for i in range(0, len(colours), _JOINED)]
+        colours = [
+            mi.Color3f(*(dr.concat([each[i] for each in group]) for i in range(3)))
+            for group in groups
+        ]
+        for colour in colours:
+            dr.eval(colour)
+    return colours[0]
+
+
+def _kind(lamp: PlacedLamp) -> Hashable:
+    """Equal for lamps whose code is the same."""
+    light = id(lamp.asset), id(lamp.field), lamp.sampling
+    return *light, lamp.shows_geometry, lamp.lights_inside
