@@ -10,6 +10,7 @@ from lumitree.core.files import FilePath
 from lumitree.core.interrupt import deferred_interrupt, interruptible, interruption_behind
 from lumitree.core.stopwatch import Stopwatch
 from lumitree.core.work_folder import WorkFolder
+from lumitree.fit.field_light import with_field_light
 from lumitree.fit.result import BakeResult
 from lumitree.fit.work import save_asset
 from lumitree.measure.irradiance_check import measure_irradiance
@@ -29,6 +30,8 @@ def finish_bake(
 ) -> BakeResult:
     """Write an asset with the spectrum of its luminaire, and compare the irradiance around both.
 
+    An asset with a radiance field only gets a light field (`with_field_light`).
+
     Args:
         watch: measures the stage "irradiance"; all its times become the result's.
         luminaire: what was baked; None: the asset keeps its spectrum, and the irradiance is not
@@ -42,7 +45,7 @@ def finish_bake(
         from lumitree.trace.emitted_spectrum import emitted_spectrum
 
         asset = dataclasses.replace(asset, spectrum=emitted_spectrum(luminaire))
-    asset = as_stored(asset)
+    asset = as_stored(with_field_light(asset))
     irradiance, complete = None, stopped_by is None
     with deferred_interrupt() as interruption:
         path = save_asset(asset, output)

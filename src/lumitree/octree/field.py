@@ -81,7 +81,7 @@ class Field:
         Returns:
             Radiance in units of the luminaire's scene; and transmittance in [0, 1].
         """
-        y = basis(*towards_viewer(direction), l_max=self._l_max)
+        y = self._basis(direction)
 
         def shade(state, leaf, start, length, active):
             radiance, tau, through = state
@@ -103,6 +103,15 @@ class Field:
             span,
         )
         return radiance, through
+
+    def leaf_emission(
+        self, leaf: mi.UInt32, direction: mi.Vector3f, active: mi.Bool | bool = True
+    ) -> mi.Color3f:
+        """Φ of Eq. 6 for a leaf, seen along a direction of travel as for `emission`."""
+        return self._leaf_emission(leaf, self._basis(direction), active)
+
+    def _basis(self, direction):
+        return basis(*towards_viewer(direction), l_max=self._l_max)
 
     def eval_rays(
         self, origin: NDArray[np.floating], direction: NDArray[np.floating]

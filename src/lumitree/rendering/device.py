@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import drjit as dr
 import mitsuba as mi
 
@@ -11,9 +9,10 @@ from lumitree.asset.asset import Asset
 from lumitree.core.device import shared
 from lumitree.octree.field import COARSE_DEPTH, Field, coarsened, shared_field
 from lumitree.rendering.device_light import DeviceLight, InsideLight
+from lumitree.rendering.field_rays import FieldRays
 from lumitree.rendering.geometry import Surfaces
 from lumitree.rendering.light_colour import LightColour, light_colour
-from lumitree.rendering.sampling import BoxProxy, point_on_box, projected_areas
+from lumitree.rendering.sampling import BoxProxy
 from lumitree.rendering.straight_light import StraightLight
 
 
@@ -39,6 +38,13 @@ class DeviceAsset:
     def box(self) -> BoxProxy:
         """Its bounding box."""
         return shared(self.asset, "box", lambda: BoxProxy(self.asset.frame.half_extents))
+
+    @property
+    def field_rays(self) -> FieldRays | None:
+        """Rays of the radiance field; None if it is empty."""
+        if not self.asset.num_leaves:
+            return None
+        return shared(self.asset, "rays", lambda: FieldRays(self.field, self.asset))
 
     @property
     def colour(self) -> LightColour:
@@ -125,14 +131,11 @@ class DeviceAsset:
     ) -> tuple[mi.Point3f, mi.Vector3f, mi.Color3f]:
         """Ray along which light leaves the lamp, as `DeviceLight.sample_ray`.
 
-        Rays of a field are uniform: over directions, and over the box as seen along them. `light`
-        as for `look`.
+        It is a ray of the light field (`light` as for `look`), or else of the radiance field.
         """
         if self.asset.light_field is not None:
             return (light or self.light).sample_ray(choice, sample1, sample2, active)
-        half = self.box.half
-        direction = mi.warp.square_to_uniform_sphere(sample1)
-        areas = projected_areas(half, direction)
-        point = mi.Point3f(point_on_box(half, areas, direction, sample2))
-        radiance, _ = self.field.emission(point, -direction, active)
-        return point, direction, radiance * dr.sum(areas) * (4 * math.pi) & active
+        if self.field_rays is None:
+            zero = dr.zeros(mi.Vector3f, dr.width(choice))
+            return mi.Point3f(zero), mi.warp.square_to_uniform_sphere(sample1), mi.Color3f(zero)
+        return self.field_rays.sample_ray(choice, sample1, sample2, active)

@@ -257,8 +257,7 @@ class PlacedLamp(PlacedAsset):
         _ = self.colour, self.straight
         if self.stored is not None:
             _ = self.stored.table
-        if self.light is not None:
-            _ = self.light.table
+        _ = self.device.field_rays if self.light is None else self.light.table
 
     def set_gain(self) -> None:
         """Accept the value of `gain`, or raise and return to the one before."""

@@ -176,11 +176,6 @@ def face_areas(half: mi.Vector3f) -> mi.Vector3f:
     return 4 * mi.Vector3f(half.y * half.z, half.x * half.z, half.x * half.y)
 
 
-def projected_areas(half: mi.Vector3f, direction: mi.Vector3f) -> mi.Vector3f:
-    """Areas [3] of the faces of a box as seen along a direction."""
-    return face_areas(half) * dr.abs(direction)
-
-
 def point_on_box(
     half: mi.Vector3f, weights: mi.Vector3f, towards: mi.Vector3f | mi.Point3f, sample: mi.Point2f
 ) -> mi.Vector3f:
