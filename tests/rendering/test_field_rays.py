@@ -18,7 +18,7 @@ def test_they_carry_the_flux_of_every_direction(mi, law, half):
     from lumitree.rendering.field_rays import FieldRays
     from lumitree.rendering.sampling import face_areas, point_on_box
 
-    asset, count = random_asset(5, law=law, half_extents=half, gain=(1.0, 2.0, 0.5)), 1 << 19
+    asset, count = random_asset(5, law=law, half_extents=half, light_factors=(1.0, 2.0, 0.5)), 1 << 19
     field, sampler = Field(asset), uniform_samples(mi, count)
     samples = sampler.next_1d(), sampler.next_2d(), sampler.next_2d()
     point, direction, flux = FieldRays(field, asset).sample_ray(*samples)
@@ -49,11 +49,11 @@ def test_a_field_gets_a_light_field_with_its_irradiance(mi):
     from lumitree.measure.irradiance import evaluate_irradiance
     from lumitree.rendering.asset_flux import asset_watts
 
-    asset = random_asset(2, law="exponential", gain=(1.0, 2.0, 0.5))
+    asset = random_asset(2, law="exponential", light_factors=(1.0, 2.0, 0.5))
     lit = with_field_light(asset)
     assert with_field_light(lit) is lit
     assert asset_watts(lit) == pytest.approx(asset_watts(asset), rel=0.01)
-    error = evaluate_irradiance(lit.without_gain, asset.without_gain, 1 << 20).error
+    error = evaluate_irradiance(lit.without_factors, asset.without_factors, 1 << 20).error
     assert error.total_ratio == pytest.approx(1, abs=0.01)
     assert error.rms.max() < 0.05
 

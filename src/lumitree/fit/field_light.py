@@ -24,10 +24,10 @@ def with_field_light(asset: Asset) -> Asset:
         return asset
     load_mitsuba()
     from lumitree.rendering.asset_rays import AssetRays
-    from lumitree.trace.emitted_rays import as_rows
     from lumitree.trace.histograms import Histogram
+    from lumitree.trace.light_paths import as_rows
 
-    rays, histogram = AssetRays(asset.without_gain), Histogram(_DEPTH, _RESOLUTION)
+    rays, histogram = AssetRays(asset.without_factors), Histogram(_DEPTH, _RESOLUTION)
     with progress("light", _BATCHES) as advance:
         for batch in range(_BATCHES):
             drawn = rays.draw(_BATCH, SeedStream(Purpose.FIELD_RAYS, batch).seed(0))

@@ -58,7 +58,7 @@ class Field:
         self._density = on_device(mi.Float, asset.density if asset.num_leaves else [0.0])
         packets, unit = _packets(asset)
         self._unit = parameter(mi.Float, 2.0**112 * unit)
-        largest = (asset.max_radiance * factor for factor in asset.gain)
+        largest = (asset.max_radiance * factor for factor in asset.light_factors)
         self._max_radiance = parameter(mi.Color3f, *largest)
         self._coefficients = on_device(mi.UInt32, packets)
         dr.eval(self._density, self._coefficients)
@@ -215,7 +215,7 @@ class FieldData(Protocol):
     @property
     def max_radiance(self) -> float: ...
     @property
-    def gain(self) -> tuple[float, float, float]: ...
+    def light_factors(self) -> tuple[float, float, float]: ...
     @property
     def frame(self) -> LocalFrame: ...
     @property
@@ -247,7 +247,7 @@ class CoarseField:
     law: Law = "exponential"
     l_max: int = 0
     max_radiance: float = 0.0
-    gain: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    light_factors: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
     @property
     def num_leaves(self) -> int:

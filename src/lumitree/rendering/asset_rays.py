@@ -4,7 +4,7 @@ import drjit as dr
 
 from lumitree.asset.asset import Asset
 from lumitree.rendering.device import DeviceAsset
-from lumitree.trace.emitted_rays import RayBatch, seeded_sampler
+from lumitree.trace.light_paths import RayBatch, seeded_sampler
 
 
 class AssetRays:

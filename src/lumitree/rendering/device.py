@@ -68,7 +68,9 @@ class DeviceAsset:
         surfaces = self.surfaces.emitting(asset.frame)
         if not surfaces:
             return None
-        return StraightLight(surfaces, asset.light_field, asset.frame.half_extents, asset.gain)
+        return StraightLight(
+            surfaces, asset.light_field, asset.frame.half_extents, asset.light_factors
+        )
 
     @property
     def light(self) -> DeviceLight:
@@ -84,7 +86,7 @@ class DeviceAsset:
             asset, field = self.asset, self.asset.light_field
             assert field is not None
             field = field.bent_light if bent else field
-            return DeviceLight(field, asset.frame.half_extents, asset.gain, levels=levels)
+            return DeviceLight(field, asset.frame.half_extents, asset.light_factors, levels=levels)
 
         return shared(self.asset, ("light", bent, levels), make)
 
@@ -96,7 +98,7 @@ class DeviceAsset:
             assert field is not None
             field = field.bent_light if bent else field
             outside = self.stored_light(bent)
-            return InsideLight(field, asset.frame.half_extents, outside, asset.gain)
+            return InsideLight(field, asset.frame.half_extents, outside, asset.light_factors)
 
         return shared(self.asset, ("inside", bent), make)
 

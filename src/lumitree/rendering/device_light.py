@@ -325,7 +325,7 @@ class DeviceLight(CellLight):
     """Device copy of a light field, in the lamp's local frame; its receivers are outside the box.
 
     Args:
-        gain: [3] factors on R, G and B, not all 0.
+        factors: [3] factors on R, G and B, not all 0.
         levels: whether there are levels beyond 0. Without them, the table is small.
 
     Attributes:
@@ -342,7 +342,7 @@ class DeviceLight(CellLight):
         self,
         field: LightField,
         half_extents: NDArray[np.float64],
-        gain: tuple[float, float, float] = (1.0, 1.0, 1.0),
+        factors: tuple[float, float, float] = (1.0, 1.0, 1.0),
         *,
         levels: bool = False,
     ) -> None:
@@ -362,8 +362,8 @@ class DeviceLight(CellLight):
         packed = [field.dense(divided(field.intensity, unit))]
         packed += [pack_lit(level.intensity, unit) for level in sums]
         self._packed = on_device(mi.UInt32, np.concatenate(packed))
-        self.scale = dr.opaque(mi.Float, field.scale * unit * max(gain))
-        self._colour = parameter(mi.Color3f, *(factor / max(gain) for factor in gain))
+        self.scale = dr.opaque(mi.Float, field.scale * unit * max(factors))
+        self._colour = parameter(mi.Color3f, *(factor / max(factors) for factor in factors))
         cumulated = np.cumsum(flux, axis=1)
         self._num_levels = parameter(mi.UInt32, len(self.levels))
         self._bins_cumulated = on_device(mi.Float, cumulated / cumulated[:, -1:])
@@ -575,7 +575,7 @@ class InsideLight(CellLight):
         field: LightField,
         half_extents: NDArray[np.float64],
         outside: DeviceLight,
-        gain: tuple[float, float, float],
+        factors: tuple[float, float, float],
     ) -> None:
         super().__init__(half_extents, field.resolution)
         inside, self._outside = field.inside, outside
@@ -595,7 +595,7 @@ class InsideLight(CellLight):
             packed, scale = ending_by_bin(field)
             self._packed = on_device(mi.UInt32, packed)
             self._rows_of_reach = on_device(mi.UInt32, dense(inside.lit, bins, inside.reach))
-            self._gain = parameter(mi.Color3f, *(scale * factor for factor in gain))
+            self._factors = parameter(mi.Color3f, *(scale * factor for factor in factors))
             # By the square root of distance.
             self._steps = parameter(mi.Float, (_STEPS - 1) / math.sqrt(inside.distances[-1]))
             at = inside.distances[-1] * np.linspace(0, 1, _STEPS) ** 2
@@ -641,7 +641,7 @@ class InsideLight(CellLight):
         step = mi.UInt32(at)
         first = reach * _STEPS + step
         low, high = (dr.gather(mi.Float, self._reach, first + i, active) for i in (0, 1))
-        return light + self._gain * unpacked(packed) * dr.lerp(low, high, at - mi.Float(step))
+        return light + self._factors * unpacked(packed) * dr.lerp(low, high, at - mi.Float(step))
 
 
 def left_part(

@@ -20,13 +20,20 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.geometry import AssetGeometry
-from lumitree.asset.geometry_media import MEDIA_SIDES, scattering_sides, side_medium
-from lumitree.asset.materials import is_specular
-from lumitree.asset.textures import Json
+from lumitree.asset import materials as asset_materials
+from lumitree.asset.geometry import AssetGeometry, Medium, Shape, UnitShape
+from lumitree.asset.materials import (
+    Dielectric,
+    Image,
+    Material,
+    Parameter,
+    Texture,
+    VertexColours,
+    is_specular,
+)
 from lumitree.core.device import parameter, transforms_as_parameters
 from lumitree.core.frames import LocalFrame, similarity_scale
-from lumitree.core.mitsuba_meshes import make_mesh
+from lumitree.core.mitsuba_meshes import VERTEX_COLOUR, make_mesh
 from lumitree.rendering.objects import load_ordered, make_object, make_properties
 from lumitree.rendering.straight_light import EmittingSurface, emitting_surface
 
@@ -49,50 +56,49 @@ def geometry_shapes(scene_from_world: NDArray[np.float64], lamp: Any) -> list[mi
     scale = similarity_scale(scene_from_world, "to_world")
     rotation, emitter = matrix[:3, :3] / scale, geometry_emitter_class()
     densities = iter([] if straight is None else straight.densities)
-    # By their descriptions: all shapes of one medium share an object.
-    media: dict[str, mi.Medium] = {}
+    # All shapes of one medium share an object.
+    media: dict[Medium, mi.Medium] = {}
     made = []
     for shape, mesh in zip(geometry.shapes, geometry.meshes(), strict=True):
         values: dict[str, Any] = {
-            "flip_normals": shape["flipped"],
+            "flip_normals": shape.flipped,
             "bsdf": surfaces.bsdf(shape),
         }
         # A surface that shows other things needs no emitter: it neither emits nor scatters.
-        if shape["radiance"] is not None:
+        if shape.radiance is not None:
             density = next(densities) / lamp.numbers[0] ** 2
-            values["emitter"] = emitter(lamp, surfaces.emitted(shape["radiance"]), density)
-        elif not is_specular(geometry.materials[shape["material"]]):
+            values["emitter"] = emitter(lamp, surfaces.emitted(shape.radiance), density)
+        elif not is_specular(geometry.materials[shape.material]):
             values["emitter"] = emitter(lamp)
-        for side in MEDIA_SIDES:
-            if side in shape:
-                key = repr(shape[side])
-                if key not in media:
-                    media[key] = _medium(shape[side], scale)
-                values[side] = media[key]
-        if mesh is None:
-            to_world = matrix @ np.array(shape["to_world"], np.float64)
+        for side, medium in shape.media.items():
+            if medium not in media:
+                media[medium] = _medium(medium, scale)
+            values[side] = media[medium]
+        if isinstance(shape, UnitShape):
+            to_world = matrix @ np.array(shape.to_world, np.float64)
             values["to_world"] = mi.ScalarTransform4d(to_world)
-            made.append(make_object(shape["type"], values))
+            made.append(make_object(shape.type, values))
             transforms_as_parameters(made[-1:])
         else:
+            assert mesh is not None
             vertices = mesh["vertices"] @ matrix[:3, :3].T + matrix[:3, 3]
             moved = {**mesh, "vertices": vertices, "normals": mesh["normals"] @ rotation.T}
             made.append(make_mesh("geometry", moved, make_properties("", values)))
     return made
 
 
-def _medium(described: Any, scale: float) -> mi.Medium:
-    """The medium of a side of a shape, whose coefficients are per unit of the file."""
-    absorption, scattering, anisotropy = side_medium(described)
+def _medium(medium: Medium, scale: float) -> mi.Medium:
+    """A medium, whose coefficients are per unit of the file."""
+    absorption, scattering = np.array(medium.absorption), np.array(medium.scattering)
     extinction = absorption + scattering
     densest = max(*extinction, 1e-30)
     albedo = scattering / np.maximum(extinction, 1e-30)
-    phase = make_object("hg", {"g": anisotropy})
+    phase = make_object("hg", {"g": medium.anisotropy})
     values = {
         "sigma_t": mi.ScalarColor3d(extinction / densest),
         "albedo": mi.ScalarColor3d(albedo),
         "scale": densest / scale,
-        "phase": phase if anisotropy else make_object("isotropic", {}),
+        "phase": phase if medium.anisotropy else make_object("isotropic", {}),
     }
     return make_object("homogeneous", values)
 
@@ -105,20 +111,20 @@ class Surfaces:
         glass = geometry_glass_class()
         self._bsdfs = [self._materials.bsdf(material) for material in geometry.materials]
         self._crossed = [
-            glass(bsdf) if material["type"] == "dielectric" else bsdf
+            glass(bsdf) if isinstance(material, Dielectric) else bsdf
             for material, bsdf in zip(geometry.materials, self._bsdfs, strict=True)
         ]
 
-    def bsdf(self, shape: Json) -> mi.BSDF:
+    def bsdf(self, shape: Shape) -> mi.BSDF:
         """The BSDF of a shape of the geometry.
 
         Glass around a medium that scatters is not crossed straight: light that scatters in it
         leaves it by refraction, or is reflected back totally.
         """
-        straight = not scattering_sides(shape)
-        return (self._crossed if straight else self._bsdfs)[shape["material"]]
+        straight = not shape.scatters
+        return (self._crossed if straight else self._bsdfs)[shape.material]
 
-    def emitted(self, radiance: Any) -> Radiance:
+    def emitted(self, radiance: asset_materials.Radiance) -> Radiance:
         """Radiance of a shape."""
         return self._materials.radiance(radiance)
 
@@ -127,8 +133,8 @@ class Surfaces:
         geometry, found = self._geometry, []
         matrix = frame.local_from_world @ geometry.file_from_geometry
         for shape, mesh in zip(geometry.shapes, geometry.meshes(), strict=True):
-            if shape["radiance"] is not None:
-                radiance = self.emitted(shape["radiance"])
+            if shape.radiance is not None:
+                radiance = self.emitted(shape.radiance)
                 source = radiance if radiance.constant is None else radiance.constant
                 found.append(emitting_surface(shape, mesh, source, matrix))
         return found
@@ -163,29 +169,28 @@ class Radiance:
 class Materials:
     """Makes BSDFs; equal textures are made once."""
 
-    def __init__(self, images: Sequence[NDArray[Any]]) -> None:
+    def __init__(self, images: Sequence[Image]) -> None:
         """Materials whose textures are of these images, see `AssetGeometry.images`."""
         self._images = images
-        self._textures: dict[str, Any] = {}
+        self._textures: dict[Texture | VertexColours, mi.Texture] = {}
 
-    def bsdf(self, material: Json) -> mi.BSDF:
+    def bsdf(self, material: Material) -> mi.BSDF:
         """The BSDF of a material."""
-        values = {f"nested_{i}": self.bsdf(m) for i, m in enumerate(material.get("nested", []))}
-        for name in material.keys() - {"type", "nested"}:
-            values[name] = self._value(material[name])
-        return make_object(material["type"], values)
+        values = {f"nested_{i}": self.bsdf(nested) for i, nested in enumerate(material.nested)}
+        values |= {name: self._value(value) for name, value in material.parameters.items()}
+        return make_object(material.plugin, values)
 
-    def _value(self, value: Any) -> Any:
-        if isinstance(value, list):
-            return mi.ScalarColor3d(value)
-        if isinstance(value, dict):
+    def _value(self, value: Parameter) -> Any:
+        if isinstance(value, tuple):
+            return mi.ScalarColor3d(list(value))
+        if isinstance(value, Texture | VertexColours):
             return self._texture(value)
         # JSON writes 1.0 as 1, too; Mitsuba refuses an integer as an index of refraction.
         return float(value) if type(value) is int else value
 
-    def radiance(self, radiance: Any) -> Radiance:
+    def radiance(self, radiance: asset_materials.Radiance) -> Radiance:
         """Emission of a shape."""
-        if not isinstance(radiance, dict):
+        if not isinstance(radiance, Texture):
             return Radiance(np.broadcast_to(radiance, 3).tolist())
         if not mi.is_spectral:
             values = {"radiance": self._value(radiance)}
@@ -195,25 +200,24 @@ class Materials:
         description["bitmap"] = description["bitmap"].convert(*pixels)
         return Radiance(load_ordered(description | {"raw": True}))
 
-    def _texture(self, texture: Json) -> mi.Texture:
-        key = repr(sorted(texture.items()))
-        if key not in self._textures:
-            self._textures[key] = load_ordered(self._description(texture))
-        return self._textures[key]
+    def _texture(self, texture: Texture | VertexColours) -> mi.Texture:
+        if texture not in self._textures:
+            self._textures[texture] = load_ordered(self._description(texture))
+        return self._textures[texture]
 
-    def _description(self, texture: Json) -> dict[str, Any]:
-        if "attribute" in texture:
-            return {"type": "mesh_attribute", "name": texture["attribute"]}
-        image = self._images[texture["image"]]
+    def _description(self, texture: Texture | VertexColours) -> dict[str, Any]:
+        if isinstance(texture, VertexColours):
+            return {"type": "mesh_attribute", "name": VERTEX_COLOUR}
+        image = self._images[texture.image]
         bitmap = mi.Bitmap(np.ascontiguousarray(image))
-        bitmap.set_srgb_gamma(image.dtype == np.uint8 and not texture["raw"])
+        bitmap.set_srgb_gamma(image.dtype == np.uint8 and not texture.raw)
         return {
             "type": "bitmap",
             "bitmap": bitmap,
-            "raw": texture["raw"],
-            "filter_type": texture["filter_type"],
-            "wrap_mode": texture["wrap_mode"],
-            "to_uv": mi.ScalarTransform4f(np.array(texture["to_uv"])),
+            "raw": texture.raw,
+            "filter_type": texture.filter_type,
+            "wrap_mode": texture.wrap_mode,
+            "to_uv": mi.ScalarTransform4f(np.array(texture.to_uv)),
         }
 
 
@@ -263,7 +267,7 @@ def geometry_emitter_class() -> type:
             """
             super().__init__(make_properties("lumitree_geometry", {"sampling_weight": 0.0}))
             self._lamp, self._radiance = lamp, radiance
-            self._gain = parameter(mi.Color3f, *lamp.asset.gain)
+            self._factors = parameter(mi.Color3f, *lamp.asset.light_factors)
             self._density = parameter(mi.Float, density)
             self.traced = lamp.traces_straight_light
             self.m_flags = mi.EmitterFlags.Surface | mi.EmitterFlags.SpatiallyVarying
@@ -273,7 +277,7 @@ def geometry_emitter_class() -> type:
                 return mi.Spectrum(0), mi.Float(0)
             pdf = self._density * dr.square(ds.dist) / dr.abs(dr.dot(ds.d, si.n))
             front = active & (mi.Frame3f.cos_theta(si.wi) > 0)
-            radiance = self._lamp.factor * self._gain * self._radiance(si, front)
+            radiance = self._lamp.factor * self._factors * self._radiance(si, front)
             return dr.select(front, self._lamp.colour(radiance, si.wavelengths), 0), pdf
 
         def eval(self, si, active=True):

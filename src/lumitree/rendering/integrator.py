@@ -8,7 +8,7 @@ cross it with the transmittance that its BSDF states.
 Homogeneous media attenuate and scatter light along each segment (`medium_paths`). A scattering is a
 vertex like one on a rough surface. Heterogeneous media need `volpath`, and are refused.
 
-Opaque BSDFs do not scatter light through the geometric surface (`geometric_normals`), as `path`
+Opaque BSDFs do not scatter light through the geometric surface (`spawning`), as `path`
 lets them do where shading normals are smooth.
 
 Proxies are not traced. The integrator traces the other shapes as a scene of their own, and finds
@@ -48,8 +48,7 @@ from lumitree.rendering.null_bsdf import without_proxies
 from lumitree.rendering.proxies import MAX_CROSSINGS, NONE, Divided, DividedScene, is_instance
 from lumitree.rendering.sampling import mis_weight
 from lumitree.trace import medium_paths
-from lumitree.trace.geometric_normals import is_opaque, on_opposite_sides
-from lumitree.trace.spawning import offset, scene_extent, spawn
+from lumitree.trace.spawning import is_opaque, offset, on_opposite_sides, scene_extent, spawn
 
 # Density of directions whose emitters only emitter sampling finds: its square is no denormal.
 _SAMPLED_ONLY = 1e-15

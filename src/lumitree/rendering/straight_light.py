@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from lumitree.asset.geometry import MeshArrays, Shape, UnitShape
 from lumitree.asset.light_field import LightField
 from lumitree.asset.packed_colours import unpack
 from lumitree.core.alias_table import AliasTable
@@ -62,7 +63,7 @@ class StraightLight:
         surfaces: that emit, at least one.
         field: light field of the lamp; None if there is none.
         half_extents: of the lamp's box.
-        gain: [3] factors on R, G and B.
+        factors: [3] factors on R, G and B.
 
     Attributes:
         densities: [N] of the surfaces: density per local area that stands for that of their points
@@ -74,9 +75,9 @@ class StraightLight:
         surfaces: Sequence[EmittingSurface],
         field: LightField | None,
         half_extents: NDArray[np.float64],
-        gain: tuple[float, float, float],
+        factors: tuple[float, float, float],
     ) -> None:
-        self._elements, self._gain = Elements(surfaces), parameter(mi.Color3f, *gain)
+        self._elements, self._factors = Elements(surfaces), parameter(mi.Color3f, *factors)
         each, area = self._elements, self._elements.area
         self.densities = each.densities
         light = area[:, None] * (each.radiance + _FLOOR * each.surface_radiance[each.surface])
@@ -105,11 +106,11 @@ class StraightLight:
         size = ((high - low) ** 2).sum(axis=1) / 4
         self._middles = on_device(mi.Float, np.concatenate([middles, size[:, None]], axis=1))
         self._resolution = 8 if field is None else field.resolution
-        bare = _bare(cluster, light @ np.array(gain), each.normal, self._resolution)
+        bare = _bare(cluster, light @ np.array(factors), each.normal, self._resolution)
         seen = bare
         if field is not None:
             # Of what is hidden in part, the root mean square of samples, and not their mean.
-            straight = _straight(field, middles, gain)
+            straight = _straight(field, middles, factors)
             seen = np.sqrt(np.maximum(straight, _MISSED * bare) * bare)
         # What receivers outside the box get of clusters, and others.
         self._intensity = on_device(mi.Float, np.stack([seen, bare]))
@@ -195,7 +196,7 @@ class StraightLight:
         per_area = dr.abs(dr.dot(found.n, offset)) * dr.rsqrt(squared) / squared
         front = active & (dr.dot(found.facing, offset) < 0) & (per_area > 0)
         # Radiance over the density per steradian with which the point is sampled.
-        light = self._gain * found.radiance * (per_area * found.area / chance)
+        light = self._factors * found.radiance * (per_area * found.area / chance)
         target.light = dr.select(front, light * (target.factor / target.pmf), 0)
         target.density = dr.select(front, found.density / per_area, 0)
         distance = dr.sqrt(squared)
@@ -237,10 +238,10 @@ def _bare(
 
 
 def _straight(
-    field: LightField, middles: NDArray[np.float64], gain: tuple[float, float, float]
+    field: LightField, middles: NDArray[np.float64], factors: tuple[float, float, float]
 ) -> NDArray[np.float64]:
     """Straight radiant intensity [K, R²] of clusters in a light field; `middles` [K, 3] of them."""
-    straight = field.scale * (unpack(field.intensity) - unpack(field.bent)) @ np.array(gain)
+    straight = field.scale * (unpack(field.intensity) - unpack(field.bent)) @ np.array(factors)
     by_cell = field.dense(straight)
     centres = (field.cells + 0.5) * (2 / (1 << field.depth)) - 1
     nearest = KDTree(middles).query(centres)[1]
@@ -304,24 +305,24 @@ class EmittingSurface:
 
 
 def emitting_surface(
-    shape: dict[str, Any],
-    mesh: dict[str, NDArray[Any]] | None,
+    shape: Shape,
+    mesh: MeshArrays | None,
     radiance: NDArray[np.float64] | Texture,
     matrix: NDArray[np.float64],
 ) -> EmittingSurface:
     """A surface of a shape of `AssetGeometry`; `matrix` [4, 4] leads to the local frame."""
-    kind = _FLAT if mesh is not None else _KINDS.get(shape["type"], _FLAT)
+    kind = _KINDS.get(shape.type, _FLAT) if isinstance(shape, UnitShape) else _FLAT
     corner: dict[str, Any] = {"normals": None, "texcoords": None}
-    if mesh is None:
-        matrix = matrix @ np.array(shape["to_world"], np.float64)
+    if isinstance(shape, UnitShape):
+        matrix = matrix @ np.array(shape.to_world, np.float64)
     mirrored = mesh is None and np.linalg.det(matrix) < 0
     if kind != _FLAT:
         frame = np.concatenate([matrix[:3, 3:], matrix[:3, :3]], axis=1).T[None]
         if kind == _DISK:
             frame[:, 3] = np.cross(frame[:, 1], frame[:, 2]) * (-1 if mirrored else 1)
-            frame[:, 3] /= np.linalg.norm(frame[:, 3]) * (-1 if shape["flipped"] else 1)
+            frame[:, 3] /= np.linalg.norm(frame[:, 3]) * (-1 if shape.flipped else 1)
         # Mitsuba turns mirrored spheres inside out, and no mirrored cylinders.
-        inwards = shape["flipped"] != (mirrored and kind == _SPHERE)
+        inwards = shape.flipped != (mirrored and kind == _SPHERE)
         return EmittingSurface(frame, kind, inwards, radiance)
     if mesh is None:
         corners = _RECTANGLE @ matrix[:3, :3].T + matrix[:3, 3]
@@ -331,10 +332,10 @@ def emitting_surface(
         corners = (mesh["vertices"] @ matrix[:3, :3].T + matrix[:3, 3])[faces]
         corner = {n: mesh[n][faces].astype(np.float64) if len(mesh[n]) else None for n in corner}
         if corner["normals"] is not None:
-            sign = -1 if shape["flipped"] else 1
+            sign = -1 if shape.flipped else 1
             corner["normals"] = sign * corner["normals"] @ matrix[:3, :3].T
     o, e1, e2 = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    normal = np.cross(e1, e2) * (-1 if shape["flipped"] != mirrored else 1)
+    normal = np.cross(e1, e2) * (-1 if shape.flipped != mirrored else 1)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
     return EmittingSurface(np.stack([o, e1, e2, normal], axis=1), kind, False, radiance, **corner)
 
