@@ -60,8 +60,8 @@ def shown_names(names: Iterable[str]) -> str:
 def explained(function: F) -> F:
     """Decorator that turns errors of the system, of memory and of readers into a `LumitreeError`.
 
-    It handles the errors for which readers of files have no message of their own. Its type is that
-    of the function itself, so that an editor finds where an argument is passed.
+    It handles the errors for which readers of files have no message of their own. Its type is the
+    function's own, so that an editor finds where an argument is passed.
     """
 
     @functools.wraps(function)
@@ -92,7 +92,7 @@ def explained(function: F) -> F:
 
 
 def renderer_reason(error: BaseException) -> str | None:
-    """What is wrong with a scene, from an exception of Mitsuba.
+    """The fault of a scene, from an exception of Mitsuba.
 
     Returns:
         The message of a `LumitreeError` that a plugin of lumitree raised, or else Mitsuba's,

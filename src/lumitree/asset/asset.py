@@ -39,8 +39,8 @@ _expect = functools.partial(expect, "asset")
 class EmittedSpectrum:
     """The spectral power distribution of the light of a luminaire's bare emitters.
 
-    It is the sum over those emitters whose spectra are known, weighted by their luminous flux. What
-    glass and surfaces of the luminaire do to the light is in the RGB of the asset alone.
+    It is the sum over those emitters whose spectra are known, weighted by their luminous flux. The
+    effect of glass and surfaces of the luminaire is in the RGB of the asset alone.
 
     Attributes:
         power: float32 [471], power per nm at 360 to 830 nm, 1 nm apart, relative; the largest is 1.
@@ -169,7 +169,7 @@ class Asset:
 
     @property
     def appearance(self) -> Part:
-        """What images show under `lumitree_path`: the geometry, else the field, else the light."""
+        """The part that `lumitree_path` shows: the geometry, else the field, else the light."""
         present = self.parts
         return next(part for part in ("geometry", "field", "light") if part in present)
 
@@ -299,7 +299,7 @@ class AssetInfo:
         light_factors: [3] factors on the R, G and B of its light, which a luminous flux or a colour
             temperature that was asked for has made other than 1.
         spectrum_share: part of the luminous flux of the luminaire's emitters whose spectrum is
-            known; None if it is that of none.
+            known; None if no spectrum is known.
     """
 
     luminaire: str

@@ -182,7 +182,7 @@ class Dataset:
         """Read the views one by one.
 
         Raises:
-            LumitreeError: views are missing or damaged, or their size is not that of the manifest.
+            LumitreeError: views are missing or damaged, or have another size than stated.
         """
         missing = self.missing()
         if missing:

@@ -18,8 +18,8 @@ from lumitree.errors import LumitreeError
 
 View = Literal["standard", "filmic"]
 VIEWS: tuple[View, ...] = get_args(View)
-# What the log-average luminance of a room becomes, relative to white, and the side in pixels of
-# the blocks that it is taken over: the logarithm of single pixels would measure their noise.
+# Log-average luminance of a room when shown, relative to white, and the side in pixels of the
+# blocks that it is taken over: the logarithm of single pixels would measure their noise.
 _KEY, _BLOCK = 0.15, 8
 # The configuration is part of OpenColorIO 2.5 and later.
 _CONFIG = "cg-config-v4.0.0_aces-v2.0_ocio-v2.5"

@@ -187,8 +187,8 @@ def table_directions(height: int) -> NDArray[np.float64]:
 def table_angles(height: int) -> NDArray[np.float64]:
     """Weight [H] of the texels of a row in the integral over the sphere, sr.
 
-    Values between the centres of texels are interpolated linearly; beyond those of the first and
-    the last row they are constant.
+    Values between the centres of texels are interpolated linearly; beyond the centres of the
+    first and the last row they are constant.
     """
     fine = 64
     rows = (np.arange(height * fine) + 0.5) / fine - 0.5

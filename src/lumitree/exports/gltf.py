@@ -39,7 +39,7 @@ Json = dict[str, Any]
 _UNITS = "metres; cd and cd/m² (683 times W/sr and W/(m² sr))"
 _LOST_DIRECTIONS = (
     "programs without EXT_lights_ies show lights that emit the same in all directions; programs "
-    "that add these to those of EXT_lights_ies show twice the light"
+    "that add these to the lights of EXT_lights_ies show twice the light"
 )
 _LOST_SHADOW_LINKS = (
     "the lamp's surfaces shade its own lights, which have that shade already; where the program "

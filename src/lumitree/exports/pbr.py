@@ -1,8 +1,8 @@
 """Materials of an asset by metalness, roughness and transmission, for exporters and the viewer.
 
 `converted` takes a material that modifies no other one. `flattened` takes any material, for formats
-without mixtures of materials. What has no equal is replaced by the nearest, and noted in
-`PbrMaterial.lost`.
+without mixtures of materials. Features without an equal are replaced by the nearest, and noted
+in `PbrMaterial.lost`.
 """
 
 import dataclasses

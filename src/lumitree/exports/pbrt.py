@@ -112,8 +112,8 @@ def _write(request: ExportRequest, folder: Path) -> Written:
     (folder / request.name).write_bytes(("\n".join(lines) + "\n").encode())
     return Written(
         units=_UNITS,
-        orientation=file_orientation("y") + "; coordinates are right-handed, those of pbrt's "
-        "cameras are not: write Scale -1 1 1 before LookAt",
+        orientation=file_orientation("y") + "; coordinates are right-handed, pbrt's cameras "
+        "are not: write Scale -1 1 1 before LookAt",
         not_carried_over=_LOST,
         lights=count,
     )

@@ -24,9 +24,7 @@ from lumitree.exports.target import ExportRequest, Target, Written, file_orienta
 # Radiance's luminous efficacy, lm/W, and the luminance of its primaries.
 EFFICACY = 179.0
 LUMA = (0.265074126, 0.670114631, 0.064811243)
-_UNITS = (
-    "metres; W/(m² sr) of Radiance, whose luminance at 179 lm/W is that of lumitree at 683 lm/W"
-)
+_UNITS = "metres; W/(m² sr) of Radiance, whose luminance at 179 lm/W is lumitree's at 683 lm/W"
 _LOST = [
     "the lamp itself is not shown: in Radiance its surfaces would block the light of the lights",
     "the lamp casts no shadow in the light of others",

@@ -116,4 +116,4 @@ def blender_spots(request: ExportRequest) -> tuple[list[Spot], Written]:
 
 def file_orientation(up: str) -> str:
     """The line `Written.orientation` of targets that keep the origin of the luminaire's file."""
-    return f"{up} is up; the origin is that of the lamp's file"
+    return f"{up} is up; the origin is the origin of the lamp's file"

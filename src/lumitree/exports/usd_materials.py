@@ -208,7 +208,7 @@ class MaterialWriter:
 def _diffuse(surface: Surface) -> Layer:
     """The colour; for clear glass, the part of its tint above the least channel.
 
-    What is not transparent of a surface is diffuse here: near a lamp grey glass would glow.
+    The opaque part of a surface is diffuse here: near a lamp grey glass would glow.
     """
     material = surface.material
     if material.transmission == ONE and material.colour.texture is None:

@@ -83,8 +83,8 @@ class Triangles:
         """Arrays of all meshes.
 
         Returns:
-            Of vertices: positions and normals [V, 3], places on the image of their pattern [V, 2],
-            and means of the pattern over their triangles [V, 3]. Of triangles: vertices [F, 3] and
+            Vertices: positions and normals [V, 3], places on the image of their pattern [V, 2],
+            and means of the pattern over their triangles [V, 3]. Triangles: vertices [F, 3] and
             rows of surfaces [F].
         """
         return tuple(map(np.concatenate, zip(*self._parts, strict=True)))

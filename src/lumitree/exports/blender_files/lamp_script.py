@@ -183,7 +183,7 @@ def set_value(socket, value):
 def drive(owner, path, empty, expression, channel=-1):
     """A driver by `VARIABLES` and `scale` of the lamp's empty; Blender needs no permission for it.
 
-    Names in the expression stand between spaces. `channel` is that of a colour.
+    Names in the expression stand between spaces. `channel` is a channel of a colour.
     """
     driver = owner.driver_add(path, channel).driver
     words = set(expression.split())
@@ -242,7 +242,7 @@ def main(arguments):
 
 
 def own_arguments(arguments):
-    """What follows `--` for Blender, and what follows the script's name for Python."""
+    """The arguments after `--` for Blender, and after the script's name for Python."""
     if bpy.app.binary_path:
         return arguments[arguments.index("--") + 1 :] if "--" in arguments else []
     return arguments[1:]

@@ -1,6 +1,6 @@
 """Faults that exported models often have: faces that are there more than once, and likely mistakes.
 
-Of faces in one place, as copies of an object, each counts once: every copy would emit and absorb
+Several faces in one place, as copies of an object, count once: every copy would emit and absorb
 light of its own. Faults that do not show by themselves are warned of, each with its remedy.
 """
 
