@@ -14,6 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from lumitree.asset.materials import CONDUCTORS
+from lumitree.core.arguments import UNITS
 from lumitree.core.frames import similarity
 from lumitree.core.photometry import (
     MAX_TEMPERATURE,
@@ -32,7 +33,6 @@ from lumitree.core.toml_table import (
     shown_value,
     text,
 )
-from lumitree.core.units import UNITS
 from lumitree.errors import LumitreeError, LumitreeWarning, shown, shown_names
 from lumitree.lamp.importers.topology import count_solids
 from lumitree.lamp.meshes import Floats, Mesh, area_normals, join
