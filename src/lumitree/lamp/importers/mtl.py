@@ -230,10 +230,7 @@ class ObjFolder:
         if path is None:
             return None
         return self._images.decoded(
-            name,
-            lambda: read_bytes(path, "an image", MAX_MODEL_BYTES),
-            shown(path, 300),
-            _FORMATS,
+            name, lambda: read_bytes(path, "an image", MAX_MODEL_BYTES), shown(path, 300), _FORMATS
         )
 
     def made(self, name: str, role: Hashable, size: int, make: Callable[[], NDArray]) -> NDArray:
