@@ -41,7 +41,7 @@ def test_every_target_says_what_it_wrote(mi, tmp_path, output):
     assert result.lights == 3
     assert result.target == find_target(output).name
     assert result.units.startswith("metres; ")
-    assert " " in result.orientation
+    assert " is up; the origin is the origin of the lamp's file" in result.orientation
     assert result.not_carried_over
     assert result.file == tmp_path / "out" / output
     written = [path for path in (tmp_path / "out").rglob("*") if path.is_file()]
