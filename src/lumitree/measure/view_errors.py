@@ -65,7 +65,7 @@ def evaluate_views(asset: Asset, dataset: Dataset) -> Evaluation:
     if asset.num_leaves or asset.geometry is None:
         return compare_views(lambda frame: baked_view(asset, manifest, frame), dataset)
     camera = geometry_camera(asset, manifest.half_width, manifest.resolution)
-    samples = manifest.samples_per_pixel
+    samples = manifest.spp
     return compare_views(
         lambda frame: camera.take(frame.pose, samples, frame.halton_index, "view"),
         dataset,
