@@ -8,7 +8,7 @@ import numpy as np
 from fuzz import json_trees
 from fuzz.reader import Reader
 from fuzz.values import chance, pick, text, token
-from lumitree.measure.illuminance.areas import read_points
+from lumitree.measure.receivers import read_points
 from lumitree.rendering.placement_file import read_placements
 from support.damage import damaged
 from support.placement_text import PLACEMENTS

@@ -26,7 +26,7 @@ from lumitree.fit.result import BakeResult
 from lumitree.fit.work import open_work_folder
 from lumitree.lamp.diagnosis import warn_of_faults
 from lumitree.lamp.source import dataset_folder, source_kind
-from lumitree.measure.irradiance_check import check_irradiance_paths
+from lumitree.measure.irradiance import check_irradiance_paths
 from lumitree.rendering.asset_cache import open_asset
 
 if TYPE_CHECKING:

@@ -34,7 +34,7 @@ from lumitree.fit.network.config import PRESETS, TrainConfig
 from lumitree.fit.result import BakeResult, CaptureResult, TrainResult
 from lumitree.fit.work import open_work_folder
 from lumitree.lamp.diagnosis import warn_of_faults
-from lumitree.measure.irradiance_check import check_irradiance_paths
+from lumitree.measure.irradiance import check_irradiance_paths
 from lumitree.octree.build import check_tree_depth
 from lumitree.trace.light_field_config import LightFieldFitConfig
 

@@ -22,7 +22,7 @@ from lumitree.core.transmittance import Law
 from lumitree.errors import LumitreeError
 from lumitree.fit.network.config import PRESETS, TrainConfig
 from lumitree.fit.octree.config import EstimateConfig, OctreeConfig, OctreeFitConfig, RefineConfig
-from lumitree.measure.irradiance_check import check_irradiance_paths
+from lumitree.measure.irradiance import check_irradiance_paths
 from lumitree.octree.build import check_tree_depth
 from lumitree.trace.light_field_config import LightFieldConfig, LightFieldFitConfig
 

@@ -12,7 +12,7 @@ from lumitree.core.stopwatch import Stopwatch
 from lumitree.core.work_folder import WorkFolder
 from lumitree.fit.result import BakeResult
 from lumitree.fit.work import save_asset
-from lumitree.measure.irradiance_check import measure_irradiance
+from lumitree.measure.irradiance import measure_irradiance
 
 if TYPE_CHECKING:
     from lumitree.lamp.luminaire import Luminaire

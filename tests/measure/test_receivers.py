@@ -1,11 +1,11 @@
-"""Planes, and files of points."""
+"""Planes, and points from arrays and files."""
 
 import numpy as np
 import pytest
 
 import lumitree
-from lumitree.measure.illuminance import areas
-from lumitree.measure.illuminance.areas import read_points
+from lumitree.measure import receivers
+from lumitree.measure.receivers import read_points
 
 
 def test_a_floor_is_seen_from_above_with_x_to_the_right():
@@ -43,12 +43,10 @@ def test_wrong_planes_are_refused(arguments, message):
         lumitree.Plane(**{"centre": (0, 0, 0), **arguments})
 
 
-@pytest.mark.parametrize(
-    ("points", "shape"), [([[0, 0], [0]], "of lists of unequal lengths"), ([[0, 0]], r"\(1, 2\)")]
-)
-def test_points_of_other_shapes_are_refused(points, shape):
-    with pytest.raises(lumitree.LumitreeError, match=f"have the shapes {shape} and"):
-        areas.collect((), (), (), points, [0, 1, 0], 0)
+@pytest.mark.parametrize("points", [[[0, 0], [0]], [[0, 0]]])
+def test_points_of_other_shapes_are_refused(points):
+    with pytest.raises(lumitree.LumitreeError, match="do not match"):
+        receivers.collect((), (), (), points, [0, 1, 0], 0)
 
 
 def test_points_are_read_by_the_names_of_columns(tmp_path):
@@ -65,14 +63,15 @@ def test_points_are_read_by_the_names_of_columns(tmp_path):
         ("", "lacks x, y, z"),
         ("x,y,z\n1,2,3\n", "lacks nx, ny, nz"),
         ("x,y,z,nx,ny,nz\n1,2,3,0,one,0\n", "line 2: expected six numbers"),
-        ("x,y,z,nx,ny,nz\n1,2,3\n", "lacks nx"),
+        ("x,y,z,nx,ny,nz\n1,2,3\n", "line 2: expected six numbers"),
+        ("x,y,z,nx,ny,nz\n", "has no points"),
         ("x,y,z,nx,ny,nz\n1,2,3,0,1,0\n1,2,3\n", "line 3: expected six numbers"),
         ("x,y,z,nx,ny,nz\n1,2,3,0,1,0" + 100_000 * ",", "is no CSV file"),
         ("x,y,z,nx,ny,nz\n" + 21 * "1,2,3,0,1,0\n", "use a larger spacing"),
     ],
 )
 def test_damaged_files_of_points_are_refused(tmp_path, content, message, monkeypatch):
-    monkeypatch.setattr(areas, "MAX_POINTS", 20)
+    monkeypatch.setattr(receivers, "MAX_POINTS", 20)
     path = tmp_path / "points.csv"
     path.write_text(content)
     with pytest.raises(lumitree.LumitreeError, match=message):

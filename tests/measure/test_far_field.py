@@ -11,9 +11,9 @@ from lumitree.core.frames import LocalFrame, rotation, similarity
 from lumitree.core.photometry import luminance
 from lumitree.errors import LumitreeError
 from lumitree.formats.type_c import Grid, angles_of, node_solid_angles
+from lumitree.measure import far_field as module
 from lumitree.measure.batches import BATCHES, jackknife
-from lumitree.measure.photometry import far_field as module
-from lumitree.measure.photometry.far_field import (
+from lumitree.measure.far_field import (
     MAX_NOISE,
     STEPS,
     asset_source,
@@ -21,9 +21,8 @@ from lumitree.measure.photometry.far_field import (
     luminaire_source,
     measure,
 )
-from lumitree.measure.photometry.far_field_figures import evaluated
-from lumitree.measure.photometry.figures import Estimate, plane_curve, width_at
-from lumitree.measure.photometry.near_field import DISTANCES, NearFieldTest
+from lumitree.measure.near_field import DISTANCES, NearFieldTest
+from lumitree.measure.photometric_figures import Estimate, evaluated, plane_curve, width_at
 from lumitree.rendering.asset_flux import asset_lumens
 from support.camera_flux import flux_by_camera_paths
 from support.fields import uniform_asset
