@@ -9,10 +9,10 @@ import zipfile
 from fuzz import photometric_texts, words, xml_trees
 from fuzz.reader import MEBIBYTE, Reader
 from fuzz.values import chance, pick, text
-from lumitree.formats.archive import Archive
 from lumitree.formats.gldf import KIND, read_variant
 from lumitree.formats.l3d import KIND as L3D_KIND
 from lumitree.formats.l3d import read_l3d
+from lumitree.formats.reading import Archive
 from support import gldf_files as files
 from support.damage import damaged
 from support.obj_files import obj_model
@@ -174,7 +174,7 @@ def use_in_full(path):
     from support.variant import VARIANT
 
     load_mitsuba(VARIANT)
-    from lumitree.formats.gldf_asset import bake_gldf
+    from lumitree.formats.gldf import bake_gldf
 
     with coarse_bakes():
         asset = explained(bake_gldf)(path)

@@ -61,7 +61,7 @@ def bake_photometric(
         )
     refuse_options(described, "a photometric file")
     load_rgb(variant)
-    from lumitree.formats.file_bakes import bake_file
+    from lumitree.formats.photometric_file import bake_file
     from lumitree.rendering.asset_flux import with_light
 
     watch = Stopwatch()

@@ -23,9 +23,9 @@ from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.errors import LumitreeError
 from lumitree.formats.opening import Opening, opening_around
-from lumitree.formats.rays import Rays
-from lumitree.formats.symmetry import EDGE
+from lumitree.formats.tm25 import Rays
 from lumitree.formats.type_c import (
+    EDGE,
     MIN_STEP,
     Grid,
     IntensityDistribution,

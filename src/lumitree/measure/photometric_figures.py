@@ -33,7 +33,7 @@ from lumitree.core.photometry import (
     xyz_of_spectrum,
     xyz_temperature,
 )
-from lumitree.formats.ies_fields import SIMULATED
+from lumitree.formats.ies import SIMULATED
 from lumitree.formats.ldt import ldt_of
 from lumitree.formats.opening import Opening
 from lumitree.formats.type_c import Grid, IntensityDistribution

@@ -21,15 +21,14 @@ from lumitree.core.stopwatch import Stopwatch
 from lumitree.core.turns import in_turn
 from lumitree.core.units import metres_of
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
-from lumitree.formats.symmetry import EDGE
-from lumitree.formats.type_c import MIN_STEP, Grid, IntensityDistribution
+from lumitree.formats.type_c import EDGE, MIN_STEP, Grid, IntensityDistribution
 from lumitree.lamp.source import RAY_SUFFIXES, WRITTEN_SUFFIXES, LuminaireSource, source_kind
 from lumitree.measure.near_field import NearFieldLimit
 from lumitree.measure.photometric_figures import PhotometricData, PhotometricFigures, evaluated
 from lumitree.rendering.asset_cache import asset_of, refuse_frame
 
 if TYPE_CHECKING:
-    from lumitree.formats.rays import Rays
+    from lumitree.formats.tm25 import Rays
     from lumitree.lamp.luminaire import LuminaireLike
     from lumitree.measure.far_field import Source
 
@@ -143,7 +142,7 @@ def photometry(
     check_choice("up", up, ("y", "z"))
     metres = metres_of(unit)
     load_rgb(variant)
-    from lumitree.formats.ies_fields import SIMULATED, UNDEFINED
+    from lumitree.formats.ies import SIMULATED, UNDEFINED
     from lumitree.formats.photometric_file import read_again
     from lumitree.lamp.loading import load_luminaire
     from lumitree.measure.far_field import asset_source, luminaire_source, measure, oriented
