@@ -96,7 +96,7 @@ def tiny(monkeypatch):
 @pytest.fixture
 def steps(monkeypatch):
     """The steps of the descent that are begun; `steps.before[n]` is called before step n."""
-    from lumitree.fit.octree.refine import Refiner
+    from lumitree.fit.octree.descent import Refiner
 
     class Steps(list):
         before: ClassVar[dict[int, Callable[[], None]]] = {}

@@ -20,7 +20,7 @@ from lumitree.asset.field_bytes import (
     field_tensors,
     rounded_field,
 )
-from lumitree.asset.geometry_bytes import (
+from lumitree.asset.geometry_file import (
     GEOMETRY_SHAPES,
     GEOMETRY_TENSORS,
     build_geometry,
@@ -91,7 +91,7 @@ def save(asset: Asset, path: str | os.PathLike[str]) -> None:
         "law": asset.law,
         "activation": ACTIVATION,
         "max_radiance": asset.max_radiance,
-        "gain": asset.gain,
+        "gain": asset.light_factors,
         "field": field_description(asset),
         **asset.frame.members(),
     }
@@ -165,7 +165,7 @@ def _build(description: Record, tensors: dict[str, NDArray[Any]]) -> Asset:
         if has_light_field
         else None,
         geometry=build_geometry(tensors) if has_geometry else None,
-        gain=(red, green, blue),
+        light_factors=(red, green, blue),
         spectrum=build_spectrum(description.record("spectrum"), tensors)
         if description.has("spectrum")
         else None,

@@ -4,8 +4,8 @@ import os
 from collections.abc import Sequence
 from typing import Any
 
+from lumitree.core.photometry import flux_text
 from lumitree.errors import shown
-from lumitree.trace.flux_figures import flux_text
 
 LONGEST_LINE = 1000
 # Longest list of lamps that is printed whole.

@@ -29,7 +29,7 @@ def add(commands: Any) -> None:
 
 def run(args: argparse.Namespace) -> Any:
     import lumitree
-    from lumitree.output.viewer.server import address, open_server
+    from lumitree.viewer.view import address, open_server
 
     result = lumitree.view(args.asset, args.output)
     if result.page is not None:

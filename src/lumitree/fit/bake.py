@@ -298,7 +298,10 @@ def refine(
         with watch.stage("bake"):
             fit = octree_fit.refine(rough, lamp, fit_config, at.path)
         better = dataclasses.replace(
-            fit.asset, light_field=rough.light_field, geometry=rough.geometry, gain=rough.gain
+            fit.asset,
+            light_field=rough.light_field,
+            geometry=rough.geometry,
+            light_factors=rough.light_factors,
         )
         return _finish_fit(fit, better, output, watch, at, work, lamp, irradiance_paths)
 

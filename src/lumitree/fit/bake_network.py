@@ -108,7 +108,7 @@ def bake_network(
             executor=executor,
             progress=progress,
         )
-        from lumitree.fit.network.run import RUN_FILES, has_checkpoint
+        from lumitree.fit.network.train import RUN_FILES, has_checkpoint
 
         run = folder.path / "run"
         training = dataclasses.replace(config.train, seed=config.seed)
@@ -178,7 +178,7 @@ def capture(
     load_rgb(variant)
     from lumitree.lamp.loading import load_luminaire
     from lumitree.lamp.sent import lamp_workers
-    from lumitree.trace.capture import capture as capture_views
+    from lumitree.trace.cameras import capture as capture_views
 
     watch = Stopwatch()
     with reporting(progress), watch.stage("capture"):

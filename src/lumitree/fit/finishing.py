@@ -39,7 +39,7 @@ def finish_bake(
         figures: other fields of the result.
     """
     if luminaire is not None:
-        from lumitree.trace.emitted_spectrum import emitted_spectrum
+        from lumitree.trace.flux import emitted_spectrum
 
         asset = dataclasses.replace(asset, spectrum=emitted_spectrum(luminaire))
     asset = as_stored(asset)

@@ -11,6 +11,7 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
+from lumitree.asset.materials import Conductor
 from lumitree.core.backend import load_mitsuba, second_thread
 from lumitree.core.files import atomic_path
 from lumitree.core.frames import is_far, similarity
@@ -143,7 +144,7 @@ class _Writer:
     def _metal(self, parent: Element, metal: Metal, name: dict[str, str]) -> None:
         rough = metal.roughness >= _SMOOTH
         if rough and metal.microfacets == "ggx":
-            reflectance = normal_reflectance({"material": metal.conductor})
+            reflectance = normal_reflectance(Conductor(material=metal.conductor))
             colour = tuple((np.array(metal.tint) * reflectance).tolist())
             surface = Principled(colour, metallic=1.0, roughness=metal.roughness)
             self._principled(parent, surface, name)

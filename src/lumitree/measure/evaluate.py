@@ -195,13 +195,13 @@ def evaluate(
         drawn = {} if lamp is None else drawn
         settings = image_settings("evaluate", asset=title, **drawn, variant=mi.variant())
         with watch.stage("evaluate"):
-            result = evaluate_views(baked.without_gain, dataset)
+            result = evaluate_views(baked.without_factors, dataset)
             png = draw_sheet(result.rows, result.max_radiance, title).png(settings)
             if sheet is not None:
                 write_bytes(sheet, png)
         if lamp is not None and irradiance_paths > 0:
             with watch.stage("irradiance"):
-                irradiance = evaluate_irradiance(baked.without_gain, lamp, irradiance_paths)
+                irradiance = evaluate_irradiance(baked.without_factors, lamp, irradiance_paths)
                 flux = {"flux": check_flux(lamp, irradiance.explicit)}
                 irradiance_png = draw_irradiance(irradiance, title).png(settings)
                 if irradiance_sheet is not None:
@@ -234,7 +234,7 @@ def _references(
     `sizes`: number, resolution and samples per pixel of new views.
     """
     from lumitree.lamp.loading import load_luminaire
-    from lumitree.trace.capture import capture
+    from lumitree.trace.cameras import capture
 
     if (stored := dataset_folder(target)) is not None:
         return None, Dataset.open(stored)
@@ -312,7 +312,9 @@ def _compare_assets(
     settings = image_settings("evaluate", asset=title, irradiance_paths=irradiance_paths)
     watch = Stopwatch()
     with watch.stage("irradiance"):
-        found = evaluate_irradiance(asset.without_gain, reference.without_gain, irradiance_paths)
+        found = evaluate_irradiance(
+            asset.without_factors, reference.without_factors, irradiance_paths
+        )
         png = draw_irradiance(found, title).png(settings)
         if sheet is not None:
             write_bytes(sheet, png)

@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 from lumitree.asset.asset import Asset
 from lumitree.asset.light_field import LightField
 from lumitree.core.arguments import check_count
-from lumitree.core.photometry import luminance
+from lumitree.core.photometry import Flux, flux_text, luminance
 from lumitree.core.progress import progress
 from lumitree.core.results import Json
 from lumitree.core.seeds import Purpose, SeedStream
@@ -36,8 +36,7 @@ from lumitree.measure.batches import RayBatches, jackknife
 
 if TYPE_CHECKING:
     from lumitree.lamp.luminaire import Luminaire
-    from lumitree.trace.emitted_rays import EmittedRays, RayBatch
-    from lumitree.trace.flux_figures import Flux
+    from lumitree.trace.light_paths import EmittedRays, RayBatch
 
 FACES = ("-x", "+x", "-y", "+y", "-z", "+z", "touching")
 # The first faces are the faces of the cube.
@@ -194,7 +193,7 @@ def measure_irradiance(
     if num_paths == 0:
         return None
     with watch.stage("irradiance"):
-        found = evaluate_irradiance(asset.without_gain, luminaire, num_paths)
+        found = evaluate_irradiance(asset.without_factors, luminaire, num_paths)
         if asset.light_field is not None:
             _warn_of_error(found.error, asset.light_field, asset.luminaire)
         return found.metrics | found.report() | {"flux": check_flux(luminaire, found.explicit)}
@@ -228,7 +227,7 @@ def luminaire_irradiance(luminaire: "Luminaire", num_paths: int, *, seed: int = 
     Raises:
         LumitreeError: a path's flux is NaN or infinite.
     """
-    from lumitree.trace.lamp_rays import LampRays
+    from lumitree.trace.light_paths import LampRays
 
     return rays_irradiance(
         LampRays(luminaire), luminaire.frame.half_extents, num_paths, draw=0, seed=seed
@@ -385,7 +384,6 @@ def check_flux(luminaire: "Luminaire", explicit: Irradiance) -> Json:
         camera paths hit an emitter.
     """
     from lumitree.trace.flux import estimate_flux, flux_by_camera_paths
-    from lumitree.trace.flux_figures import flux_text
 
     patch = (2 * CUBE_HALF_SIDE / PATCHES * luminaire.frame.scale) ** 2
     lumens = patch * luminance(explicit.batches[:, :NUM_CUBE_FACES]).sum(axis=(1, 2, 3))
@@ -412,7 +410,7 @@ def check_flux(luminaire: "Luminaire", explicit: Irradiance) -> Json:
     }
 
 
-def _differ(light: float, light_error: float, camera: "Flux") -> bool:
+def _differ(light: float, light_error: float, camera: Flux) -> bool:
     difference = abs(light - camera.lumens)
     error = np.hypot(light_error, camera.lumens_error)
     return difference > _ERRORS * error and difference > _PART * max(light, camera.lumens)

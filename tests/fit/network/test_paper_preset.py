@@ -7,8 +7,7 @@ import pytest
 
 from lumitree.fit.config import NETWORK_BAKES
 from lumitree.fit.network.config import PRESETS
-from lumitree.fit.network.losses import EPSILON
-from lumitree.fit.network.step import learning_rate
+from lumitree.fit.network.step import EPSILON, learning_rate
 from lumitree.octree.extract import extract
 from lumitree.rendering.sampling.emitter_sampling import SAMPLING_KINDS
 

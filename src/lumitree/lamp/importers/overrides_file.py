@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
-from lumitree.asset.measured import CONDUCTORS
+from lumitree.asset.materials import CONDUCTORS
 from lumitree.core.photometry import MAX_TEMPERATURE, MIN_TEMPERATURE, blackbody_colour
 from lumitree.core.toml_table import (
     Table,
