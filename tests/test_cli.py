@@ -13,8 +13,8 @@ import pytest
 
 import lumitree
 from lumitree.cli import main
+from lumitree.core.files import MARKER
 from lumitree.core.photometry import flux_text
-from lumitree.core.work_folder import MARKER
 from support.fields import make_asset, random_asset
 from support.lamps import AREA, BALL, room, sphere
 

@@ -12,11 +12,10 @@ from lumitree.core.arguments import check_asset_output, check_light
 from lumitree.core.backend import load_rgb
 from lumitree.core.dataset import Dataset
 from lumitree.core.executor import check_executor
-from lumitree.core.files import FilePath
+from lumitree.core.files import FilePath, WorkFolder
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.stopwatch import Stopwatch
 from lumitree.core.turns import in_turn
-from lumitree.core.work_folder import WorkFolder
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.fit.config import BakeConfig
 from lumitree.fit.finishing import finish_bake, remove_state

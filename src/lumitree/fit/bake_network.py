@@ -18,14 +18,12 @@ from lumitree.core.backend import load_rgb
 from lumitree.core.dataset import DATASET_FILES, MANIFEST, MAX_VIEWS, Split
 from lumitree.core.executor import check_executor
 from lumitree.core.extras import check_network
-from lumitree.core.files import FilePath, WriteError, check_writable
-from lumitree.core.interrupt import Interrupted
+from lumitree.core.files import FilePath, WriteError, check_writable, scratch_folder
+from lumitree.core.interruption import Interrupted
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.seeds import check_seed
-from lumitree.core.stopwatch import Stopwatch
-from lumitree.core.system import peak_memory_bytes
+from lumitree.core.stopwatch import Stopwatch, peak_memory_bytes
 from lumitree.core.turns import in_turn
-from lumitree.core.work_folder import scratch_folder
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.fit.config import BakeConfig, NetworkConfig, NetworkPreset, light_field_fit
 from lumitree.fit.finishing import finish_bake, remove_state

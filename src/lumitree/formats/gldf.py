@@ -27,9 +27,8 @@ from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
 from lumitree.asset.geometry import AssetGeometry
-from lumitree.core.files import write_bytes
+from lumitree.core.files import scratch_folder, write_bytes
 from lumitree.core.frames import LocalFrame, rotation
-from lumitree.core.work_folder import scratch_folder
 from lumitree.errors import LumitreeError, LumitreeWarning, shown, shown_names
 from lumitree.formats.ies import read_ies
 from lumitree.formats.l3d import KIND as L3D_KIND

@@ -13,10 +13,9 @@ import numpy as np
 
 from lumitree.asset.materials import Conductor
 from lumitree.core.backend import load_mitsuba, second_thread
-from lumitree.core.files import atomic_path
+from lumitree.core.files import accepts_name, atomic_path
 from lumitree.core.frames import is_far, similarity
 from lumitree.core.mitsuba_meshes import VERTEX_COLOUR, make_mesh
-from lumitree.core.system import accepts_name
 from lumitree.lamp.conductors import normal_reflectance
 from lumitree.lamp.masked_emission import MaskedEmission
 from lumitree.lamp.meshes import Floats, Mesh

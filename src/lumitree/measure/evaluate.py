@@ -21,7 +21,7 @@ from lumitree.core.arguments import (
 )
 from lumitree.core.backend import load_rgb
 from lumitree.core.dataset import MAX_VIEWS, Dataset, Frame, OpacityKind
-from lumitree.core.files import FilePath, write_bytes
+from lumitree.core.files import FilePath, scratch_folder, write_bytes
 from lumitree.core.frames import LocalFrame
 from lumitree.core.image_settings import image_settings
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
@@ -29,7 +29,6 @@ from lumitree.core.progress import progress as progress_of
 from lumitree.core.results import ImageResult, Json
 from lumitree.core.stopwatch import Stopwatch
 from lumitree.core.turns import in_turn
-from lumitree.core.work_folder import scratch_folder
 from lumitree.errors import LumitreeError, shown
 from lumitree.lamp.diagnosis import warn_of_faults
 from lumitree.lamp.source import dataset_folder

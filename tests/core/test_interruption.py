@@ -1,17 +1,21 @@
-"""Signals that ask a job to stop."""
+"""Signals that ask a job to stop, and the program `lumitree` around its command."""
 
 import contextlib
+import shlex
 import signal
 import subprocess
 import sys
-import time
 
 import pytest
 
-from lumitree.core.interrupt import STOP_SIGNALS, Interrupted, deferred_interrupt, interruptible
-
-# Longer than any test waits: a signal ends it.
-LONG = 60.0
+from lumitree.core.interruption import (
+    STOP_SIGNALS,
+    Interrupted,
+    deferred_interrupt,
+    interruptible,
+    is_program,
+)
+from lumitree.core.progress import progress
 
 
 @pytest.mark.parametrize("number", STOP_SIGNALS)
@@ -60,6 +64,11 @@ def test_ignored_signals_stay_ignored():
         signal.signal(signal.SIGHUP, before)
 
 
+def advance(amount=1):
+    with progress("work", 1) as report:
+        report(amount)
+
+
 def test_a_signal_in_an_import_is_raised_after_it(tmp_path, monkeypatch):
     """A module that is half imported is broken, and trimesh catches what its imports raise."""
     (tmp_path / "slow_module.py").write_text(
@@ -73,7 +82,8 @@ def test_a_signal_in_an_import_is_raised_after_it(tmp_path, monkeypatch):
             import slow_module  # pyright: ignore[reportMissingImports]
 
             reached.append(slow_module.complete)
-            time.sleep(LONG)
+            advance()
+            reached.append("after")
 
     with pytest.raises(Interrupted) as raised:
         work()
@@ -81,24 +91,22 @@ def test_a_signal_in_an_import_is_raised_after_it(tmp_path, monkeypatch):
     assert raised.value.number == signal.SIGTERM
 
 
-def test_a_signal_that_a_library_catches_is_raised_again():
-    def catch_all():
-        try:
-            signal.raise_signal(signal.SIGINT)
-        except BaseException:
-            return
-
+@pytest.mark.parametrize("next_step", [advance, lambda: deferred_interrupt().__enter__()])
+def test_a_signal_that_a_library_catches_is_raised_by_the_next_step(next_step):
     reached = []
 
     def work():
         with interruptible():
-            catch_all()
+            with contextlib.suppress(BaseException):
+                signal.raise_signal(signal.SIGINT)
             reached.append("caught")
-            time.sleep(LONG)
+            next_step()
+            reached.append("after")
 
     with pytest.raises(Interrupted):
         work()
     assert reached == ["caught"]
+    advance()
 
 
 def test_a_signal_that_a_library_turns_into_its_own_error_is_a_signal():
@@ -118,9 +126,8 @@ def test_a_signal_that_a_library_turns_into_its_own_error_is_a_signal():
         raise RuntimeError("no signal")
 
 
-def test_completed_work_ends_as_without_a_signal(monkeypatch):
+def test_completed_work_ends_as_without_a_signal():
     """But work around it is interrupted."""
-    before = signal.getsignal(signal.SIGALRM)
 
     def inner():
         with interruptible(), contextlib.suppress(KeyboardInterrupt):
@@ -129,16 +136,12 @@ def test_completed_work_ends_as_without_a_signal(monkeypatch):
     def outer():
         with interruptible():
             inner()
-            time.sleep(LONG)
+            advance()
 
-    with monkeypatch.context() as patch:
-        patch.setattr("lumitree.core.interrupt._AGAIN_SECONDS", LONG)
-        inner()
+    inner()
     with pytest.raises(Interrupted) as raised:
         outer()
     assert raised.value.number == signal.SIGTERM
-    assert signal.getsignal(signal.SIGALRM) is before
-    assert signal.getitimer(signal.ITIMER_REAL) == (0, 0)
 
 
 PROGRAM = "import sys, signal; sys.argv[:] = ['lumitree', '--version']; import lumitree\n"
@@ -164,3 +167,47 @@ def test_other_programs_keep_their_handlers():
     code = "import signal, lumitree; print(signal.getsignal(signal.SIGTERM) is signal.SIG_DFL)"
     process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert process.stdout == "True\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "command", "expected"),
+    [
+        ("/bin/lumitree", ["python", "/bin/lumitree", "bake"], True),
+        (r"lumitree.exe", ["lumitree.exe", "bake"], True),
+        ("-m", ["python", "-X", "utf8", "-m", "lumitree", "bake"], True),
+        ("-m", ["python", "-m", "pytest", "lumitree"], False),
+        ("-m", ["python", "-m", "lumitree_plugin"], False),
+        ("script.py", ["python", "script.py", "-m", "lumitree"], False),
+        ("", ["python"], False),
+    ],
+)
+def test_the_command_line_is_known_by_its_name_and_as_a_module(
+    monkeypatch, name, command, expected
+):
+    monkeypatch.setattr(sys, "argv", [name])
+    monkeypatch.setattr(sys, "orig_argv", command)
+    assert is_program() is expected
+
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-", ">/dev/null 2>/dev/full"])
+def test_streams_that_are_closed_or_full_end_no_command(tmp_path, closed):
+    """Files do not get the descriptors of streams, into which messages would then be written."""
+    code = (
+        "import sys\n"
+        "from pathlib import Path\n"
+        "from lumitree.core.interruption import open_streams\n"
+        "open_streams()\n"
+        "file = open(sys.argv[1], 'w')\n"
+        "for stream in (sys.stdout, sys.stderr):\n"
+        "    print('a message', file=stream, flush=True)\n"
+        "file.write('done')\n"
+    )
+    command = shlex.join([sys.executable, "-c", code, str(tmp_path / "a")])
+    subprocess.run(["sh", "-c", f"{command} {closed}"], check=True, capture_output=True)
+    assert (tmp_path / "a").read_text() == "done"
+
+
+def test_commands_end_well_without_standard_output(tmp_path):
+    command = shlex.join([sys.executable, "-m", "lumitree", "list", "--json", "a.json"])
+    subprocess.run(["sh", "-c", f"{command} >&- 2>&-"], check=True, cwd=tmp_path)
+    assert "dallas" in (tmp_path / "a.json").read_text()
