@@ -15,7 +15,7 @@ from lumitree.core.images import read_exr
 from lumitree.errors import LumitreeError
 from lumitree.fit.config import QUALITIES
 from lumitree.fit.light_field import bake as light_field_bake
-from lumitree.lamp import sent
+from lumitree.lamp import luminaire as sent
 from lumitree.rendering import passes, render_job
 from lumitree.trace import cameras as views
 from support import executors

@@ -30,8 +30,7 @@ from lumitree.rendering.asset_cache import open_asset
 
 if TYPE_CHECKING:
     from lumitree.fit.octree.bake import OctreeFitResult
-    from lumitree.lamp.luminaire import Luminaire, LuminaireLike
-    from lumitree.lamp.sent import LampWorkers
+    from lumitree.lamp.luminaire import LampWorkers, Luminaire, LuminaireLike
 
 # Sources that `bake` does not take, and the functions for them.
 _OTHERS = {
@@ -103,8 +102,7 @@ def bake(
     _check_kind(luminaire)
     check_executor(executor)
     load_rgb(variant)
-    from lumitree.lamp.loading import load_luminaire
-    from lumitree.lamp.sent import lamp_workers
+    from lumitree.lamp.luminaire import lamp_workers, load_luminaire
 
     with reporting(progress), open_work_folder(output, work) as folder:
         lamp = load_luminaire(luminaire)
@@ -284,7 +282,7 @@ def refine(
     check_irradiance_paths(irradiance_paths)
     load_rgb(variant)
     from lumitree.fit.octree import bake as octree_fit
-    from lumitree.lamp.loading import load_luminaire
+    from lumitree.lamp.luminaire import load_luminaire
 
     rough = open_asset(asset)
     if not rough.num_leaves:

@@ -38,8 +38,7 @@ from lumitree.trace.light_field_config import LightFieldFitConfig
 
 if TYPE_CHECKING:
     from lumitree.asset.light_field import LightField
-    from lumitree.lamp.luminaire import Luminaire, LuminaireLike
-    from lumitree.lamp.sent import LampWorkers
+    from lumitree.lamp.luminaire import LampWorkers, Luminaire, LuminaireLike
 
 
 @in_turn
@@ -84,8 +83,7 @@ def bake_network(
     check_network()
     check_executor(executor)
     load_rgb(variant)
-    from lumitree.lamp.loading import load_luminaire
-    from lumitree.lamp.sent import lamp_workers
+    from lumitree.lamp.luminaire import lamp_workers, load_luminaire
 
     watch, light_field = Stopwatch(), None
     with open_work_folder(output, work) as folder:
@@ -174,8 +172,7 @@ def capture(
     check_writable(Path(output) / MANIFEST)
     check_executor(executor)
     load_rgb(variant)
-    from lumitree.lamp.loading import load_luminaire
-    from lumitree.lamp.sent import lamp_workers
+    from lumitree.lamp.luminaire import lamp_workers, load_luminaire
     from lumitree.trace.cameras import capture as capture_views
 
     watch = Stopwatch()
@@ -326,7 +323,7 @@ def extract(
             return _extract(run, output, tree_depth, samples_per_leaf)
     load_rgb(variant)
     from lumitree.fit.network.trained_field import load_field
-    from lumitree.lamp.loading import load_luminaire
+    from lumitree.lamp.luminaire import load_luminaire
 
     watch = Stopwatch()
     with reporting(progress), scratch_folder() as folder:

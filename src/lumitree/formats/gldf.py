@@ -40,7 +40,7 @@ from lumitree.formats.opening import Opening
 from lumitree.formats.reading import Archive, number_of, parse_xml, text_of, warn_of_file
 from lumitree.formats.tm33 import read_tm33
 from lumitree.formats.type_c import IntensityDistribution
-from lumitree.lamp.loading import load_luminaire
+from lumitree.lamp.luminaire import load_luminaire
 from lumitree.lamp.scene_writer import write_scene
 from lumitree.lamp.stored_geometry import stored_geometry
 

@@ -49,7 +49,7 @@ from lumitree.formats.type_c import (
     turned_of_type_b,
     type_a,
 )
-from lumitree.lamp.importers.model_folder import ModelFolder
+from lumitree.lamp.importers.model_files import ModelFolder
 
 KIND = "IES LM-63 file"
 _METRES_PER_FOOT = 0.3048

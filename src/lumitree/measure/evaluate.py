@@ -232,7 +232,7 @@ def _references(
 
     `sizes`: number, resolution and samples per pixel of new views.
     """
-    from lumitree.lamp.loading import load_luminaire
+    from lumitree.lamp.luminaire import load_luminaire
     from lumitree.trace.cameras import capture
 
     if (stored := dataset_folder(target)) is not None:

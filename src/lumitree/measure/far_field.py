@@ -14,8 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lumitree.asset.asset import Asset
-from lumitree.asset.spectrum import EmittedSpectrum
+from lumitree.asset.asset import Asset, EmittedSpectrum
 from lumitree.core.frames import LocalFrame, similarity
 from lumitree.core.octahedral import interpolated
 from lumitree.core.photometry import luminance

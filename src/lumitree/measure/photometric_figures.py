@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.spectrum import EmittedSpectrum
+from lumitree.asset.asset import EmittedSpectrum
 from lumitree.core.photometry import (
     WAVELENGTHS,
     chromaticity_difference,
