@@ -122,9 +122,7 @@ def images(folder, *sources):
     (folder / "room.xml").write_text(ROOM)
     return [
         lumitree.render(
-            folder / "room.xml",
-            [lumitree.Placement(source, at=(0, 0.2, 0))],
-            samples_per_pixel=16,
+            folder / "room.xml", [lumitree.Placement(source, at=(0, 0.2, 0))], samples_per_pixel=16
         ).pixels
         for source in sources
     ]

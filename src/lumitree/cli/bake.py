@@ -363,8 +363,8 @@ def _luminaire(args: argparse.Namespace, text: str) -> Any:
 
 def _listed(names: list[str]) -> list[str]:
     """The names, with those that the file of a name @FILE lists in its place."""
+    from lumitree.core.file_kinds import in_utf8
     from lumitree.core.reading import read_bytes
-    from lumitree.core.text import in_utf8
 
     found: list[str] = []
     for name in names:

@@ -9,13 +9,11 @@ from typing import TYPE_CHECKING
 from lumitree.asset.asset import Asset, Part, light_field_asset
 from lumitree.asset.geometry import AssetGeometry
 from lumitree.core.arguments import check_asset_output, check_light
-from lumitree.core.backend import load_rgb
-from lumitree.core.dataset import Dataset
+from lumitree.core.backend import in_turn, load_rgb
 from lumitree.core.executor import check_executor
 from lumitree.core.files import FilePath, WorkFolder
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
-from lumitree.core.stopwatch import Stopwatch
-from lumitree.core.turns import in_turn
+from lumitree.core.results import Stopwatch
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.fit.config import BakeConfig
 from lumitree.fit.finishing import finish_bake, remove_state
@@ -23,6 +21,7 @@ from lumitree.fit.light_field.saved_field import LIGHT_FIELD_STATE
 from lumitree.fit.octree.config import OctreeFitConfig
 from lumitree.fit.result import BakeResult
 from lumitree.fit.work import open_work_folder
+from lumitree.lamp.dataset import Dataset
 from lumitree.lamp.diagnosis import warn_of_faults
 from lumitree.lamp.source import dataset_folder, source_kind
 from lumitree.measure.irradiance import check_irradiance_paths

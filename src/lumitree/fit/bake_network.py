@@ -14,16 +14,13 @@ from lumitree.core.arguments import (
     check_count,
     check_image_settings,
 )
-from lumitree.core.backend import load_rgb
-from lumitree.core.dataset import DATASET_FILES, MANIFEST, MAX_VIEWS, Split
+from lumitree.core.backend import check_network, in_turn, load_rgb
 from lumitree.core.executor import check_executor
-from lumitree.core.extras import check_network
 from lumitree.core.files import FilePath, WriteError, check_writable, scratch_folder
 from lumitree.core.interruption import Interrupted
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
+from lumitree.core.results import Stopwatch, peak_memory_bytes
 from lumitree.core.seeds import check_seed
-from lumitree.core.stopwatch import Stopwatch, peak_memory_bytes
-from lumitree.core.turns import in_turn
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.fit.config import BakeConfig, NetworkConfig, NetworkPreset, light_field_fit
 from lumitree.fit.finishing import finish_bake, remove_state
@@ -31,6 +28,7 @@ from lumitree.fit.light_field.saved_field import LIGHT_FIELD_STATE
 from lumitree.fit.network.config import PRESETS, TrainConfig
 from lumitree.fit.result import BakeResult, CaptureResult, TrainResult
 from lumitree.fit.work import open_work_folder
+from lumitree.lamp.dataset import DATASET_FILES, MANIFEST, MAX_VIEWS, Split
 from lumitree.lamp.diagnosis import warn_of_faults
 from lumitree.measure.irradiance import check_irradiance_paths
 from lumitree.octree.build import check_tree_depth

@@ -16,12 +16,12 @@ from lumitree.core.arguments import (
     check_image_settings,
     check_light,
 )
-from lumitree.core.dataset import MAX_VIEWS
 from lumitree.core.seeds import check_seed
 from lumitree.core.transmittance import Law
 from lumitree.errors import LumitreeError
 from lumitree.fit.network.config import PRESETS, TrainConfig
 from lumitree.fit.octree.config import EstimateConfig, OctreeConfig, OctreeFitConfig, RefineConfig
+from lumitree.lamp.dataset import MAX_VIEWS
 from lumitree.measure.irradiance import check_irradiance_paths
 from lumitree.octree.build import check_tree_depth
 from lumitree.trace.light_field_config import LightFieldConfig, LightFieldFitConfig

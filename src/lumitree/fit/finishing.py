@@ -8,7 +8,7 @@ from lumitree.asset.asset import Asset
 from lumitree.asset.file import as_stored
 from lumitree.core.files import FilePath, WorkFolder
 from lumitree.core.interruption import deferred_interrupt, interruptible, interruption_behind
-from lumitree.core.stopwatch import Stopwatch
+from lumitree.core.results import Stopwatch
 from lumitree.fit.result import BakeResult
 from lumitree.fit.work import save_asset
 from lumitree.measure.irradiance import measure_irradiance

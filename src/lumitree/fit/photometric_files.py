@@ -3,12 +3,11 @@
 from pathlib import Path
 
 from lumitree.core.arguments import check_asset_output, check_light
-from lumitree.core.backend import load_rgb
+from lumitree.core.backend import in_turn, load_rgb
 from lumitree.core.files import FilePath
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.progress import progress as steps
-from lumitree.core.stopwatch import Stopwatch
-from lumitree.core.turns import in_turn
+from lumitree.core.results import Stopwatch
 from lumitree.errors import LumitreeError, shown
 from lumitree.fit.result import BakeResult
 from lumitree.fit.work import save_asset

@@ -21,10 +21,10 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.core.file_kinds import in_utf8
 from lumitree.core.files import write_bytes
 from lumitree.core.frames import rotation, similarity
 from lumitree.core.photometry import radiance_from_flux
-from lumitree.core.text import in_utf8
 from lumitree.errors import LumitreeError, shown
 from lumitree.formats.opening import Opening
 from lumitree.formats.reading import Archive, number_of, parse_xml

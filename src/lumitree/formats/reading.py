@@ -20,8 +20,8 @@ from xml.parsers import expat
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.core.file_kinds import in_utf8, utf16_encoding
 from lumitree.core.reading import read_bytes
-from lumitree.core.text import in_utf8, utf16_encoding
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 
 T = TypeVar("T")

@@ -51,12 +51,12 @@ from lumitree.core.photometry import (
     WAVELENGTHS,
     luminance,
     matching_functions,
+    sampled_spectrum,
     srgb_from_xyz,
     xyz_from_srgb,
     xyz_of_spectrum,
 )
 from lumitree.core.reading import read_bytes
-from lumitree.core.spectrum import sampled_spectrum
 from lumitree.errors import LumitreeError, shown
 from lumitree.formats.reading import date_of_writing, warn_of_file
 from lumitree.formats.type_c import y_up, z_up

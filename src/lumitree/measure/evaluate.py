@@ -19,17 +19,15 @@ from lumitree.core.arguments import (
     check_range,
     check_sheet_output,
 )
-from lumitree.core.backend import load_rgb
-from lumitree.core.dataset import MAX_VIEWS, Dataset, Frame, OpacityKind
+from lumitree.core.backend import in_turn, load_rgb
 from lumitree.core.files import FilePath, scratch_folder, write_bytes
 from lumitree.core.frames import LocalFrame
-from lumitree.core.image_settings import image_settings
+from lumitree.core.images import image_settings
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.progress import progress as progress_of
-from lumitree.core.results import ImageResult, Json
-from lumitree.core.stopwatch import Stopwatch
-from lumitree.core.turns import in_turn
+from lumitree.core.results import ImageResult, Json, Stopwatch
 from lumitree.errors import LumitreeError, shown
+from lumitree.lamp.dataset import MAX_VIEWS, Dataset, Frame, OpacityKind
 from lumitree.lamp.diagnosis import warn_of_faults
 from lumitree.lamp.source import dataset_folder
 from lumitree.measure.irradiance import check_flux, check_irradiance_paths, evaluate_irradiance
@@ -260,7 +258,7 @@ def _references(
 
 def _samples_in(time: float | None, lamp: "Luminaire", resolution: int, pixels: int) -> int:
     """Paths per pixel, a power of two, that a time allows for all `pixels` of all images."""
-    from lumitree.core.directions import FIRST_TEST_INDEX, view_pose
+    from lumitree.core.frames import FIRST_TEST_INDEX, view_pose
     from lumitree.core.seeds import Purpose, SeedStream
     from lumitree.trace.cameras import Camera
 

@@ -28,9 +28,8 @@ from lumitree.asset.light_field import LightField
 from lumitree.core.arguments import check_count
 from lumitree.core.photometry import Flux, flux_text, luminance
 from lumitree.core.progress import progress
-from lumitree.core.results import Json
+from lumitree.core.results import Json, Stopwatch
 from lumitree.core.seeds import Purpose, SeedStream
-from lumitree.core.stopwatch import Stopwatch
 from lumitree.errors import LumitreeWarning
 from lumitree.measure.batches import RayBatches, jackknife
 
