@@ -118,7 +118,7 @@ def spectrum_file(path, spectrum):
 def test_a_lamp_its_asset_and_their_reports(folder, illuminants, capsys):
     emitter = spectrum_file(folder / "fl2.spd", illuminants["FL2"])
     (folder / "lamp.xml").write_text(scene(sphere("ball", 0.5, inside=emitter)))
-    config = lumitree.BakeConfig(irradiance_paths=0, light_field=LIGHT_FIELD)
+    config = lumitree.BakeConfig(irradiance_paths=0, light=LIGHT_FIELD)
     result = lumitree.bake("lamp.xml", "lamp.lumitree", config)
     assert result.asset.spectrum.share == 1
     reports = [

@@ -42,7 +42,7 @@ def test_ugr_of_a_square_source(mi, offset, side):
         },
         "integrator": {"type": "path"},
     }
-    image = lumitree.render(scene, samples_per_pixel=4)
+    image = lumitree.render(scene, spp=4)
     assert image.camera is not None
     assert (image.camera.horizontal, image.camera.vertical) == pytest.approx((60, 60), abs=1e-3)
     assert image.camera.direction == pytest.approx((0, 0, -1), abs=1e-6)
@@ -64,7 +64,7 @@ def rendered(size):
     camera = {"type": "perspective", "fov": 60, "film": film}
     light = {"type": "constant", "radiance": {"type": "rgb", "value": 0.1}}
     scene = {"type": "scene", "light": light, "camera": camera, "integrator": {"type": "path"}}
-    return lumitree.render(scene, samples_per_pixel=1)
+    return lumitree.render(scene, spp=1)
 
 
 def view_of(values):
@@ -154,7 +154,7 @@ def test_ugr_of_a_room_at_three_resolutions(mi):
             "film": {"type": "hdrfilm", "width": size, "height": size},
             "to_world": to_world.look_at([0, 0, 2.5], [0, 0, -1], [0, 1, 0]),
         }
-        image = lumitree.render(scene, samples_per_pixel=4)
+        image = lumitree.render(scene, spp=4)
         ratings.append(lumitree.glare(image, 500).ugr)
     assert max(ratings) - min(ratings) < 0.5
 
@@ -231,7 +231,7 @@ def test_the_corners_of_an_image_may_be_dark(mi):
     camera["film"] |= {"height": 512}
     camera["to_world"] = mi.ScalarTransform4f().look_at([0, 0, 0], [0, 0, -1], [0, 1, 0])
     scene = {"type": "scene", "sphere": sphere, "camera": camera, "path": {"type": "path"}}
-    image = lumitree.render(scene, samples_per_pixel=16)
+    image = lumitree.render(scene, spp=16)
     found = lumitree.glare(image, 1)
     # With pixels at the edge of the sphere.
     assert found.source_solid_angle == pytest.approx(math.pi * 0.05**2, rel=0.25)
@@ -250,7 +250,7 @@ def test_the_view_of_a_crop_window(mi, offset, seen):
         "light": {"type": "constant"},
         "path": {"type": "path"},
     }
-    image = lumitree.render(scene, samples_per_pixel=1)
+    image = lumitree.render(scene, spp=1)
     assert image.resolution == (64, 128)
     if not seen:
         assert image.camera is None
@@ -263,7 +263,7 @@ def test_an_orthographic_image_is_refused(mi):
     camera = {"type": "orthographic", "film": {"type": "hdrfilm", "width": 64, "height": 64}}
     scene = {"type": "scene", "camera": camera, "light": {"type": "constant"}}
     scene["integrator"] = {"type": "path"}
-    image = lumitree.render(scene, samples_per_pixel=1)
+    image = lumitree.render(scene, spp=1)
     with pytest.raises(lumitree.LumitreeError, match="not a perspective one"):
         lumitree.glare(image, 100)
     assert np.isfinite(image.luminance).all()

@@ -63,7 +63,7 @@ class EvaluateResult(ImageResult):
             below. A metric whose reference is too noisy, or dark, is omitted.
         max_radiance: L_max of the views, W/(m² sr), by which the metrics divide radiance; None
             without views: the asset was compared with another asset.
-        samples_per_pixel: paths per pixel of the views; None without views.
+        spp: paths per pixel of the views; None without views.
         views: metrics by name, of each view.
         asset: `Asset.info` as a dictionary, and file and size in bytes if the asset is a file.
         sheet: file of the contact sheet; None if none was written.
@@ -80,7 +80,7 @@ class EvaluateResult(ImageResult):
 
     metrics: dict[str, float]
     max_radiance: float | None
-    samples_per_pixel: int | None
+    spp: int | None
     views: list[dict[str, Any]]
     asset: Json
     sheet: Path | None
@@ -112,9 +112,9 @@ def evaluate(
     target: "Asset | LuminaireLike",
     sheet: FilePath | None = None,
     *,
-    num_views: int = 8,
+    views: int = 8,
     resolution: int = 192,
-    samples_per_pixel: int | None = None,
+    spp: int | None = None,
     time: float | None = None,
     irradiance_paths: int = IRRADIANCE_PATHS,
     variant: str | None = None,
@@ -139,13 +139,13 @@ def evaluate(
             asset with the same bounding box.
         sheet: path of the PNG file of the contact sheet. The irradiance in false colour is written
             beside it, as sheet-irradiance.png for sheet.png. Default: no file is written.
-        num_views: number of rendered views, 1 to 100,000. It does not apply to a dataset, nor do
+        views: number of rendered views, 1 to 100,000. It does not apply to a dataset, nor do
             the next three.
         resolution: pixels per side of a rendered view, 1 to 16,384.
-        samples_per_pixel: paths per pixel of a rendered view, 1 to 1,048,576. Default: the power of
+        spp: paths per pixel of a rendered view, 1 to 1,048,576. Default: the power of
             two that the time allows, which is measured first.
         time: time of the paths of all views, s, 0.001 to 10⁷. Default: none if there are
-            `samples_per_pixel`; else 8 s of processor time (of all cores together), for at most
+            `spp`; else 8 s of processor time (of all cores together), for at most
             256 paths per pixel. All else takes about as long.
         irradiance_paths: number of light paths of the luminaire, and of rays of the asset, that the
             irradiance is estimated with, up to 67,108,864. 0: it is not compared.
@@ -166,9 +166,9 @@ def evaluate(
         check_sheet_output(sheet)
         irradiance_sheet = Path(sheet).with_stem(f"{Path(sheet).stem}-irradiance")
         check_sheet_output(irradiance_sheet)
-    check_count("views", num_views, 1, MAX_VIEWS)
+    check_count("views", views, 1, MAX_VIEWS)
     check_irradiance_paths(irradiance_paths)
-    check_image_settings(resolution=resolution, spp=samples_per_pixel or 1)
+    check_image_settings(resolution=resolution, spp=spp or 1)
     if time is not None:
         check_range("time", time, 1e-3, 1e7)
     mi = load_rgb(variant)
@@ -184,13 +184,12 @@ def evaluate(
     watch = Stopwatch()
     with contextlib.ExitStack() as stack:
         stack.enter_context(reporting(progress))
-        sizes = (num_views, resolution, samples_per_pixel)
+        sizes = (views, resolution, spp)
         lamp, dataset = _references(cast(Any, target), baked, watch, stack, sizes, time)
-        samples = dataset.manifest.samples_per_pixel
-        drawn: Json = {"num_views": num_views, "resolution": resolution}
-        drawn |= {"samples_per_pixel": samples, "irradiance_paths": irradiance_paths}
-        drawn = {} if lamp is None else drawn
-        settings = image_settings("evaluate", asset=title, **drawn, variant=mi.variant())
+        samples = dataset.manifest.spp
+        budget: Json = {"views": views, "resolution": resolution, "spp": samples}
+        budget = {} if lamp is None else {**budget, "irradiance_paths": irradiance_paths}
+        settings = image_settings("evaluate", asset=title, **budget, variant=mi.variant())
         with watch.stage("evaluate"):
             result = evaluate_views(baked.without_factors, dataset)
             png = draw_sheet(result.rows, result.max_radiance, title).png(settings)
@@ -206,7 +205,7 @@ def evaluate(
     return EvaluateResult(
         metrics=result.metrics | ({} if irradiance is None else irradiance.metrics),
         max_radiance=result.max_radiance,
-        samples_per_pixel=samples,
+        spp=samples,
         views=result.views,
         asset=asset_json(baked, path),
         sheet=None if sheet is None else Path(sheet),
@@ -248,9 +247,9 @@ def _references(
         dataset = capture(
             lamp,
             folder,
-            num_views=count,
+            views=count,
             resolution=resolution,
-            samples_per_pixel=samples,
+            spp=samples,
             split="test",
         )
     return lamp, dataset
@@ -318,7 +317,7 @@ def _compare_assets(
     return EvaluateResult(
         metrics=found.metrics,
         max_radiance=None,
-        samples_per_pixel=None,
+        spp=None,
         views=[],
         asset=asset_json(asset, path),
         sheet=None,
@@ -356,7 +355,7 @@ def evaluate_views(asset: Asset, dataset: Dataset) -> Evaluation:
     if asset.num_leaves or asset.geometry is None:
         return compare_views(lambda frame: baked_view(asset, manifest, frame), dataset)
     camera = geometry_camera(asset, manifest.half_width, manifest.resolution)
-    samples = manifest.samples_per_pixel
+    samples = manifest.spp
     return compare_views(
         lambda frame: camera.take(frame.pose, samples, frame.halton_index, "view"),
         dataset,
