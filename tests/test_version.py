@@ -54,7 +54,7 @@ NULL_ROOM = {
 
 
 def test_path_of_mitsuba_does_not_cross_null_surfaces_in_shadow_rays(mi):
-    """So `lumitree render` replaces it by `lumitree_path`. Mitsuba 3.10 changes `eval_null`, too."""
+    """So `lumitree render` replaces it by `lumitree_path`. Mitsuba 3.10 changes this."""
     assert hasattr(mi.BSDF, "eval_null_transmission")
     assert not hasattr(mi.BSDF, "eval_null")
     look = mi.ScalarTransform4f().look_at([0, 0, 1], [0, 0, 0], [0, 1, 0])

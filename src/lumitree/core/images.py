@@ -47,7 +47,7 @@ def write_exr(
 def read_exr(path: str | os.PathLike[str]) -> dict[str, NDArray[np.float32]]:
     """Channels of an OpenEXR file by name; R, G and B are combined as "RGB" [H, W, 3].
 
-    Those of a layer, such as "lamp.R", are combined under the layer's name.
+    Channels of a layer, such as "lamp.R", are combined under its name.
 
     Raises:
         LumitreeError: the file is missing, damaged or holds values that are not finite.
