@@ -18,7 +18,10 @@ def test_they_carry_the_flux_of_every_direction(mi, law, half):
     from lumitree.rendering.field_rays import FieldRays
     from lumitree.rendering.sampling import face_areas, point_on_box
 
-    asset, count = random_asset(5, law=law, half_extents=half, light_factors=(1.0, 2.0, 0.5)), 1 << 19
+    asset, count = (
+        random_asset(5, law=law, half_extents=half, light_factors=(1.0, 2.0, 0.5)),
+        1 << 19,
+    )
     field, sampler = Field(asset), uniform_samples(mi, count)
     samples = sampler.next_1d(), sampler.next_2d(), sampler.next_2d()
     point, direction, flux = FieldRays(field, asset).sample_ray(*samples)
