@@ -13,8 +13,7 @@ import pytest
 
 import lumitree
 from lumitree.cli import main
-from lumitree.core.files import atomic_path
-from lumitree.core.work_folder import MARKER
+from lumitree.core.files import MARKER, atomic_path
 from support import tiny_bakes
 from support.fields import random_asset
 from support.lamps import BALL, room

@@ -9,13 +9,13 @@ import pytest
 
 import lumitree
 from lumitree.cli import main
+from lumitree.core.backend import num_cores
+from lumitree.core.executor import process_pool
 from lumitree.core.images import read_exr
-from lumitree.core.process_pool import process_pool
-from lumitree.core.system import num_cores
 from lumitree.errors import LumitreeError
 from lumitree.fit.config import QUALITIES
 from lumitree.fit.light_field import bake as light_field_bake
-from lumitree.lamp import sent
+from lumitree.lamp import luminaire as sent
 from lumitree.rendering import passes, render_job
 from lumitree.trace import cameras as views
 from support import executors
@@ -204,8 +204,8 @@ def shared_by(monkeypatch):
         asked.append(value)
         yield executor
 
-    monkeypatch.setattr("lumitree.core.process_pool.process_pool", given)
-    monkeypatch.setattr("lumitree.core.dask_executor.dask_executor", given)
+    monkeypatch.setattr("lumitree.core.executor.process_pool", given)
+    monkeypatch.setattr("lumitree.core.executor.dask_executor", given)
     return executor, asked
 
 

@@ -4,11 +4,11 @@ from ._version import __version__ as __version__
 from .asset.asset import Asset as Asset
 from .asset.asset import AssetInfo as AssetInfo
 from .asset.file import save as save
+from .core.executor import process_pool as process_pool
 from .core.frames import LocalFrame as LocalFrame
-from .core.interrupt import Interrupted as Interrupted
+from .core.interruption import Interrupted as Interrupted
 from .core.photometry import Flux as Flux
 from .core.photometry import MissedFlux as MissedFlux
-from .core.process_pool import process_pool as process_pool
 from .core.progress import Progress as Progress
 from .core.progress import show_progress as show_progress
 from .core.results import Result as Result
@@ -37,11 +37,6 @@ from .fit.bake_network import (
 from .fit.bake_network import (
     train as train,
 )
-from .fit.catalogue.bake_many import bake_many as bake_many
-from .fit.catalogue.collect import collect as collect
-from .fit.catalogue.record import BakedLamp as BakedLamp
-from .fit.catalogue.result import BakeManyResult as BakeManyResult
-from .fit.catalogue.result import CollectResult as CollectResult
 from .fit.config import BakeConfig as BakeConfig
 from .fit.config import NetworkConfig as NetworkConfig
 from .fit.octree.config import OctreeConfig as OctreeConfig
@@ -56,11 +51,15 @@ from .fit.result import (
 from .fit.result import (
     TrainResult as TrainResult,
 )
-from .lamp.loading import builtin_luminaires as builtin_luminaires
-from .lamp.loading import load_luminaire as load_luminaire
 from .lamp.luminaire import Luminaire as Luminaire
+from .lamp.luminaire import builtin_luminaires as builtin_luminaires
+from .lamp.luminaire import load_luminaire as load_luminaire
 from .lamp.scene_shapes import SceneShape as SceneShape
 from .lamp.source import LuminaireSource as LuminaireSource
+from .many.bake_many import bake_many as bake_many
+from .many.bake_many import collect as collect
+from .many.result import BakedLamp as BakedLamp
+from .many.result import BakeManyResult as BakeManyResult
 from .measure.evaluate import EvaluateResult as EvaluateResult
 from .measure.evaluate import evaluate as evaluate
 from .measure.glare import Glare as Glare

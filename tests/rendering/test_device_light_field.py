@@ -7,8 +7,7 @@ import pytest
 
 import lumitree
 from lumitree.asset.asset import light_field_asset
-from lumitree.asset.light_field import make_light_field
-from lumitree.asset.packed_colours import unpack
+from lumitree.asset.light_field import make_light_field, unpack
 from lumitree.core.device import on_device
 from lumitree.core.frames import LocalFrame, rotation, similarity
 from support.fields import make_asset, uniform_asset
@@ -51,7 +50,7 @@ def light(mi):
 def levels(mi):
     """A light field by level of its receivers: of a few cells, and of sums."""
     from lumitree.rendering.device_light import DeviceLight
-    from lumitree.rendering.light_levels import LevelChoice
+    from lumitree.rendering.light_table import LevelChoice
 
     near, far = (DeviceLight(each(), HALF, levels=True) for each in (some_light, even_light))
     near.choice = LevelChoice(HALF, np.array([np.inf]))

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from lumitree.asset.light_field import make_light_field
-from lumitree.asset.packed_colours import unpack
+from lumitree.asset.light_field import make_light_field, unpack
 from lumitree.core.device import on_device
 from lumitree.core.octahedral import solid_angles
 from lumitree.core.photometry import luminance
@@ -74,7 +73,7 @@ def test_a_sum_of_equal_cells_is_the_larger_cell(mi):
 
 
 def test_levels_follow_the_distance_without_a_border(mi):
-    from lumitree.rendering.light_levels import LevelChoice
+    from lumitree.rendering.light_table import LevelChoice
 
     choice = LevelChoice(HALF, np.array([3.0, 6.0]))
     sample = uniform_samples(mi, 1 << 14).next_1d()

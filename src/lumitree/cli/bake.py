@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 from lumitree.cli import options
 from lumitree.cli.output import print_lamps, print_open, print_report
-from lumitree.core.system import SEPARATORS, SHELL_EXPANDS
 from lumitree.errors import LumitreeError, shown
 
 if TYPE_CHECKING:
@@ -182,7 +181,7 @@ def run(args: argparse.Namespace) -> Any:
         )
     settings = _settings(args)
     luminaires = [_luminaire(args, name) for name in _listed(args.luminaires)]
-    if len(luminaires) != 1 or args.output.endswith(SEPARATORS):
+    if len(luminaires) != 1 or args.output.endswith(("/", os.sep)):
         return _run_many(args, luminaires, settings)
     if args.task is not None:
         raise LumitreeError(
@@ -385,7 +384,7 @@ def _listed(names: list[str]) -> list[str]:
 
 def _expanded(name: str) -> list[str]:
     """The files of a pattern such as *.ies, where the shell leaves patterns to the program."""
-    if SHELL_EXPANDS or not glob.has_magic(name) or os.path.exists(name):
+    if os.name != "nt" or not glob.has_magic(name) or os.path.exists(name):
         return [name]
     return sorted(glob.glob(name)) or [name]
 

@@ -248,8 +248,7 @@ def executor(args: argparse.Namespace) -> Iterator[Executor | None]:
 
     At its end tasks that are not finished are stopped.
     """
-    from lumitree.core.dask_executor import dask_executor
-    from lumitree.core.process_pool import process_pool
+    from lumitree.core.executor import dask_executor, process_pool
 
     if args.workers is not None:
         with process_pool(args.workers) as pool:

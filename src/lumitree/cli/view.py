@@ -5,7 +5,7 @@ from typing import Any
 
 from lumitree.cli import options
 from lumitree.cli.output import print_open
-from lumitree.core.interrupt import deferred_interrupt
+from lumitree.core.interruption import deferred_interrupt
 
 # Interval at which a server looks whether it is to end, s.
 _LOOK_SECONDS = 0.2

@@ -4,5 +4,5 @@
 `ies_profiles`, profiles of lights, `spots`, lights for Blender's importers, and `pbr`, which
 converts materials to metalness and roughness.
 Outputs of several files are written into a temporary folder beside the output
-(`core.work_folder.atomic_files`).
+(`core.files.atomic_files`).
 """

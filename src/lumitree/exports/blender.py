@@ -30,11 +30,10 @@ from scipy.sparse import csr_array
 
 from lumitree.asset.asset import Asset
 from lumitree.asset.geometry import AssetGeometry
-from lumitree.core.files import json_text
+from lumitree.core.files import json_text, scratch_folder
 from lumitree.core.frames import similarity
 from lumitree.core.octahedral import bilinear_bins
 from lumitree.core.photometry import colour_temperature
-from lumitree.core.work_folder import scratch_folder
 from lumitree.errors import LumitreeError, shown
 from lumitree.exports.blender_nodes import BlenderMaterials
 from lumitree.exports.point_lights import PlacedLights, PointLights, Up, place_lights, turn_up

@@ -8,14 +8,18 @@ from typing import Literal
 from lumitree.asset.asset import Asset
 from lumitree.core.arguments import check_choice, check_count
 from lumitree.core.backend import load_rgb
-from lumitree.core.files import FilePath, check_writable
+from lumitree.core.files import (
+    FilePath,
+    atomic_files,
+    atomic_folder,
+    check_new_folder,
+    check_writable,
+)
 from lumitree.core.results import Result
 from lumitree.core.seeds import check_seed
 from lumitree.core.stopwatch import Stopwatch
-from lumitree.core.system import SEPARATORS
 from lumitree.core.turns import in_turn
 from lumitree.core.units import metres_of
-from lumitree.core.work_folder import atomic_files, atomic_folder, check_new_folder
 from lumitree.errors import LumitreeError, shown
 from lumitree.exports import blender, gltf, ies_folder, pbrt, radiance, usd
 from lumitree.exports.target import ExportRequest, Importer, Target
@@ -185,7 +189,7 @@ def find_target(output: FilePath) -> Target:
         LumitreeError: there is none.
     """
     text = os.fspath(output)
-    suffix = "" if text.endswith(SEPARATORS) else Path(text).suffix.lower()
+    suffix = "" if text.endswith(("/", os.sep)) else Path(text).suffix.lower()
     if suffix not in TARGETS:
         raise LumitreeError(
             f"output {shown(repr(text), 300)} does not end in {', '.join(filter(None, TARGETS))}, "

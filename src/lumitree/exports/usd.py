@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
-from lumitree.core.files import FilePath
+from lumitree.core.files import FilePath, scratch_folder
 from lumitree.core.photometry import LUMENS_PER_WATT
-from lumitree.core.work_folder import scratch_folder
 from lumitree.errors import LumitreeError, shown
 from lumitree.exports.light_profiles import LOST_COLOUR, ProfiledLight, Spot, profiled_lights
 from lumitree.exports.point_lights import place_lights, turn_up

@@ -12,11 +12,10 @@ from lumitree.core.arguments import check_asset_output, check_light
 from lumitree.core.backend import load_rgb
 from lumitree.core.dataset import Dataset
 from lumitree.core.executor import check_executor
-from lumitree.core.files import FilePath
+from lumitree.core.files import FilePath, WorkFolder
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.stopwatch import Stopwatch
 from lumitree.core.turns import in_turn
-from lumitree.core.work_folder import WorkFolder
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.fit.config import BakeConfig
 from lumitree.fit.finishing import finish_bake, remove_state
@@ -31,8 +30,7 @@ from lumitree.rendering.asset_cache import open_asset
 
 if TYPE_CHECKING:
     from lumitree.fit.octree.bake import OctreeFitResult
-    from lumitree.lamp.luminaire import Luminaire, LuminaireLike
-    from lumitree.lamp.sent import LampWorkers
+    from lumitree.lamp.luminaire import LampWorkers, Luminaire, LuminaireLike
 
 # Sources that `bake` does not take, and the functions for them.
 _OTHERS = {
@@ -104,8 +102,7 @@ def bake(
     _check_kind(luminaire)
     check_executor(executor)
     load_rgb(variant)
-    from lumitree.lamp.loading import load_luminaire
-    from lumitree.lamp.sent import lamp_workers
+    from lumitree.lamp.luminaire import lamp_workers, load_luminaire
 
     with reporting(progress), open_work_folder(output, work) as folder:
         lamp = load_luminaire(luminaire)
@@ -285,7 +282,7 @@ def refine(
     check_irradiance_paths(irradiance_paths)
     load_rgb(variant)
     from lumitree.fit.octree import bake as octree_fit
-    from lumitree.lamp.loading import load_luminaire
+    from lumitree.lamp.luminaire import load_luminaire
 
     rough = open_asset(asset)
     if not rough.num_leaves:

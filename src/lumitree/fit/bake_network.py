@@ -18,14 +18,12 @@ from lumitree.core.backend import load_rgb
 from lumitree.core.dataset import DATASET_FILES, MANIFEST, MAX_VIEWS, Split
 from lumitree.core.executor import check_executor
 from lumitree.core.extras import check_network
-from lumitree.core.files import FilePath, WriteError, check_writable
-from lumitree.core.interrupt import Interrupted
+from lumitree.core.files import FilePath, WriteError, check_writable, scratch_folder
+from lumitree.core.interruption import Interrupted
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.seeds import check_seed
-from lumitree.core.stopwatch import Stopwatch
-from lumitree.core.system import peak_memory_bytes
+from lumitree.core.stopwatch import Stopwatch, peak_memory_bytes
 from lumitree.core.turns import in_turn
-from lumitree.core.work_folder import scratch_folder
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.fit.config import BakeConfig, NetworkConfig, NetworkPreset, light_field_fit
 from lumitree.fit.finishing import finish_bake, remove_state
@@ -40,8 +38,7 @@ from lumitree.trace.light_field_config import LightFieldFitConfig
 
 if TYPE_CHECKING:
     from lumitree.asset.light_field import LightField
-    from lumitree.lamp.luminaire import Luminaire, LuminaireLike
-    from lumitree.lamp.sent import LampWorkers
+    from lumitree.lamp.luminaire import LampWorkers, Luminaire, LuminaireLike
 
 
 @in_turn
@@ -86,8 +83,7 @@ def bake_network(
     check_network()
     check_executor(executor)
     load_rgb(variant)
-    from lumitree.lamp.loading import load_luminaire
-    from lumitree.lamp.sent import lamp_workers
+    from lumitree.lamp.luminaire import lamp_workers, load_luminaire
 
     watch, light_field = Stopwatch(), None
     with open_work_folder(output, work) as folder:
@@ -176,8 +172,7 @@ def capture(
     check_writable(Path(output) / MANIFEST)
     check_executor(executor)
     load_rgb(variant)
-    from lumitree.lamp.loading import load_luminaire
-    from lumitree.lamp.sent import lamp_workers
+    from lumitree.lamp.luminaire import lamp_workers, load_luminaire
     from lumitree.trace.cameras import capture as capture_views
 
     watch = Stopwatch()
@@ -328,7 +323,7 @@ def extract(
             return _extract(run, output, tree_depth, samples_per_leaf)
     load_rgb(variant)
     from lumitree.fit.network.trained_field import load_field
-    from lumitree.lamp.loading import load_luminaire
+    from lumitree.lamp.luminaire import load_luminaire
 
     watch = Stopwatch()
     with reporting(progress), scratch_folder() as folder:

@@ -6,10 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 from lumitree.asset.asset import Asset
 from lumitree.asset.file import as_stored
-from lumitree.core.files import FilePath
-from lumitree.core.interrupt import deferred_interrupt, interruptible, interruption_behind
+from lumitree.core.files import FilePath, WorkFolder
+from lumitree.core.interruption import deferred_interrupt, interruptible, interruption_behind
 from lumitree.core.stopwatch import Stopwatch
-from lumitree.core.work_folder import WorkFolder
 from lumitree.fit.field_light import with_field_light
 from lumitree.fit.result import BakeResult
 from lumitree.fit.work import save_asset

@@ -6,8 +6,7 @@ from pathlib import Path
 
 from lumitree.asset.asset import Asset
 from lumitree.asset.file import save
-from lumitree.core.files import FilePath, WriteError
-from lumitree.core.work_folder import WorkFolder, scratch_folder
+from lumitree.core.files import FilePath, WorkFolder, WriteError, scratch_folder
 from lumitree.errors import LumitreeError, shown
 
 

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
 from lumitree.asset.geometry import AssetGeometry
-from lumitree.core.files import write_bytes
+from lumitree.core.files import scratch_folder, write_bytes
 from lumitree.core.frames import LocalFrame
-from lumitree.core.work_folder import scratch_folder
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.formats.archive import Archive
 from lumitree.formats.gldf import KIND, GldfEmitter, GldfFile, GldfVariant, read_variant
@@ -30,7 +29,7 @@ from lumitree.formats.photometric_file import read_photometry
 from lumitree.formats.photometric_text import warn_of_file
 from lumitree.formats.tm33 import read_tm33
 from lumitree.formats.type_c import IntensityDistribution
-from lumitree.lamp.loading import load_luminaire
+from lumitree.lamp.luminaire import load_luminaire
 from lumitree.lamp.scene_writer import write_scene
 from lumitree.lamp.stored_geometry import stored_geometry
 

@@ -19,13 +19,12 @@ from lumitree.core.arguments import (
 )
 from lumitree.core.backend import load_rgb
 from lumitree.core.dataset import MAX_VIEWS, Dataset
-from lumitree.core.files import FilePath, write_bytes
+from lumitree.core.files import FilePath, scratch_folder, write_bytes
 from lumitree.core.image_settings import image_settings
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.results import ImageResult, Json
 from lumitree.core.stopwatch import Stopwatch
 from lumitree.core.turns import in_turn
-from lumitree.core.work_folder import scratch_folder
 from lumitree.errors import LumitreeError
 from lumitree.lamp.diagnosis import warn_of_faults
 from lumitree.lamp.source import dataset_folder
@@ -220,7 +219,7 @@ def _references(
     `asset` has a box of the proportions of the luminaire's. `sizes`: number, resolution and samples
     per pixel of new views.
     """
-    from lumitree.lamp.loading import load_luminaire
+    from lumitree.lamp.luminaire import load_luminaire
     from lumitree.measure.view_errors import check_proportions
     from lumitree.trace.cameras import capture
 

@@ -166,7 +166,7 @@ def preview(
             raise LumitreeError("an asset has no paths to count the bounces of; leave bounces out")
         with reporting(progress):
             return _preview_asset(asset, sheet, resolution, samples_per_pixel)
-    from lumitree.lamp.loading import load_luminaire
+    from lumitree.lamp.luminaire import load_luminaire
     from lumitree.trace.flux import estimate_flux, missed_by_depth
 
     watch = Stopwatch()

@@ -18,7 +18,7 @@ traversal; of several points one is chosen by its light. A path that samples its
 BSDF then gets the rest (`CellLight.received`).
 
 Receivers inside the lamp's box are among the cells. Their light of a cell depends on their distance
-from it, because light may end within the lamp (`asset.light_inside`): J and s are defined there.
+from it, because light may end within the lamp (`asset.light_field`): J and s are defined there.
 
 Symbols
     x   receiver
@@ -49,16 +49,18 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.light_field import LightField
-from lumitree.asset.light_inside import parts_of_ending
-from lumitree.asset.lit_bins import by_coarse_bin, by_fine_bin, dense
-from lumitree.asset.packed_colours import (
+from lumitree.asset.light_field import (
     EXPONENT_OF_ONE,
     EXPONENT_SHIFT,
     MANTISSA,
     MANTISSA_SHIFTS,
+    LightField,
+    by_coarse_bin,
+    by_fine_bin,
+    dense,
     divided,
     pack_lit,
+    parts_of_ending,
     unpack,
 )
 from lumitree.core.alias_table import AliasTable
@@ -76,12 +78,11 @@ from lumitree.octree.build import build_children, grid_boxes_inside, morton
 from lumitree.octree.traversal import Octree
 from lumitree.rendering.light_levels import (
     POINTS,
-    LevelChoice,
     level_limits,
     light_sums,
     points_around,
 )
-from lumitree.rendering.light_table import InsideReceivers, ReceiverCells, cell_rows
+from lumitree.rendering.light_table import InsideReceivers, LevelChoice, ReceiverCells, cell_rows
 from lumitree.rendering.sampling import (
     INSIDE,
     OUTSIDE,
@@ -724,7 +725,7 @@ def bins_around(direction: mi.Vector3f, resolution: int) -> list[tuple[mi.UInt32
 
 def unpacked(packed: mi.UInt32) -> mi.Color3f:
     """Colours of RGB9_E5 numbers."""
-    # As `asset.packed_colours.unpack`: a power of two is a number whose mantissa's 23 bits are 0.
+    # As `asset.light_field.unpack`: a power of two is a number whose mantissa's 23 bits are 0.
     exponent = (packed >> EXPONENT_SHIFT) + (127 - EXPONENT_OF_ONE)
     unit = dr.reinterpret_array(mi.Float, exponent << 23)
     mantissas = (packed >> shift & MANTISSA for shift in MANTISSA_SHIFTS)

@@ -23,7 +23,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.spectrum import EmittedSpectrum
+from lumitree.asset.asset import EmittedSpectrum
 from lumitree.core.device import on_device
 from lumitree.core.photometry import (
     FILM_LUMINANCE,

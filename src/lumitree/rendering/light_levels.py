@@ -16,16 +16,16 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.light_field import LightField
-from lumitree.asset.packed_colours import unpack
+from lumitree.asset.light_field import LightField, unpack
 from lumitree.octree.build import grid_boxes_inside, morton
+from lumitree.rendering.light_table import MAX_SUMS
 
-# Sums at most, and the depth of the coarsest level.
-_SUMS, _COARSEST = 4, 2
+# Depth of the coarsest level.
+_COARSEST = 2
 # A level is for receivers at a distance from the lamp's box (local units) of at least `_LEAST` over
 # the number of cells a side, and where the root mean square of its relative error is at most
-# `_ERROR`. Distances are multiplied by random numbers from 1 to 1 + `_BLEND`.
-_ERROR, _LEAST, _BLEND = 0.01, 24.0, 0.5
+# `_ERROR`.
+_ERROR, _LEAST = 0.01, 24.0
 # Errors are measured at this distance from the box, local units, as means over patches of its
 # faces: so many a side, of so many points each. At single points they would be noise.
 ERROR_DISTANCE, _PATCHES, POINTS = 4.0, 5, 4
@@ -58,7 +58,7 @@ def light_sums(
     lower, upper = grid_boxes_inside(half_extents, field.cells, field.depth)
     intensity = field.dense(unpack(field.intensity).astype(np.float32))
     level, found = Level(field.cells, field.depth, lower, upper, intensity, flux), []
-    while level.depth > _COARSEST and len(found) < _SUMS:
+    while level.depth > _COARSEST and len(found) < MAX_SUMS:
         level = _summed(level, half_extents)
         found.append(level)
     return found

@@ -5,10 +5,11 @@ of its cell of receivers, a part of it to the flux of cells.
 
 Cells of receivers around a lamp are bins of direction from its centre (`core.octahedral`) times
 shells of equal width in R / distance, in which parallax is linear; R is the radius of the lamp's
-bounding sphere. The innermost shell has no end. In the lamp's box, cells of receivers are a grid.
+bounding sphere. The innermost shell is unbounded. In the lamp's box, cells of receivers are a grid.
+Receivers that are farther away get sums of cells (`light_levels`): `LevelChoice`.
 
 Symbols
-    C   cells that emit
+    C   cells that emit        L   levels of a light field
 """
 
 from __future__ import annotations
@@ -29,6 +30,9 @@ _FLUX_FRACTION = 0.1
 # Receivers in each of their cells that a row is made from, and rows that are made at once.
 _POINTS_PER_CELL = 16
 _ROWS_AT_ONCE = 16
+# Levels beyond 0 at most; and the distances of receivers are multiplied by random numbers from 1 to
+# 1 + `_BLEND`, so that there is no seam between levels.
+MAX_SUMS, _BLEND = 4, 0.5
 # intensity(cell, offset, distance): radiant intensity of a cell towards a receiver.
 Intensity = Callable[["mi.UInt32", "mi.Vector3f", "mi.Float"], "mi.Color3f"]
 
@@ -218,7 +222,7 @@ class LevelChoice:
         self._radius, self._inner = float(np.linalg.norm(half_extents)), float(half_extents.min())
         self._limits = limits
         self._half = parameter(mi.Vector3f, *half_extents.tolist())
-        padded = np.full(_SUMS, np.inf)
+        padded = np.full(MAX_SUMS, np.inf)
         padded[: len(limits)] = limits
         self._on_device = [parameter(mi.Float, limit) for limit in padded.tolist()]
 

@@ -11,7 +11,7 @@ from lumitree.core.arguments import MAX_GAIN, MAX_KELVIN, MAX_LUMENS, MIN_KELVIN
 from lumitree.core.frames import MAX_SCALE, MIN_SCALE
 from lumitree.core.toml_table import Table, dictionary, number, numbers, read_toml, text
 from lumitree.errors import LumitreeError, explained
-from lumitree.lamp.builtin.registry import BUILTIN
+from lumitree.lamp.builtin import BUILTIN
 from lumitree.rendering.placement import Placement
 
 _KIND = "a TOML file of placements"

@@ -16,13 +16,12 @@ from lumitree.core.dataset import MANIFEST, MAX_VIEWS, Dataset, Frame, Manifest,
 from lumitree.core.device import parameter
 from lumitree.core.directions import FIRST_TEST_INDEX, view_pose
 from lumitree.core.executor import run_tasks
+from lumitree.core.files import exclusive
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
-from lumitree.core.work_folder import alone_in
 from lumitree.errors import LumitreeError
-from lumitree.lamp.luminaire import Luminaire
+from lumitree.lamp.luminaire import LampWorkers, Luminaire, received_luminaire
 from lumitree.lamp.media import is_coloured, media
-from lumitree.lamp.sent import LampWorkers, received_luminaire
 from lumitree.trace import medium_paths
 from lumitree.trace.spawning import is_smooth, is_transmitted, scene_extent, spawn
 
@@ -266,7 +265,7 @@ def capture(
             for index in range(first, first + num_views)
         ),
     )
-    with alone_in(Path(folder)):
+    with exclusive(Path(folder)):
         dataset = _open_or_start(Path(folder), manifest)
         missing, settings = dataset.missing(), (resolution, samples_per_pixel)
         done = num_views - len(missing)

@@ -23,12 +23,18 @@ import orbax.checkpoint as ocp
 from flax import nnx
 
 from lumitree.core.dataset import Dataset
-from lumitree.core.files import WriteError, check_room, is_empty, write_json
+from lumitree.core.files import (
+    WriteError,
+    check_space,
+    exclusive,
+    is_empty,
+    remove_written,
+    write_json,
+)
 from lumitree.core.frames import LocalFrame, file_keys, file_members
-from lumitree.core.interrupt import deferred_interrupt
+from lumitree.core.interruption import deferred_interrupt
 from lumitree.core.progress import progress
 from lumitree.core.reading import Record, label, parse_json, read_bytes
-from lumitree.core.work_folder import alone_in, remove_written
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.fit.network.config import TrainConfig
 from lumitree.fit.network.rays import Batch, Occupancy, RaySet, load_rays, save_occupancy
@@ -136,7 +142,7 @@ def save_checkpoint(folder: Path, manager: ocp.CheckpointManager, step: int, sta
         return
     try:
         # Orbax prints pages of tracebacks when the disk is full.
-        check_room(folder, _METADATA_BYTES + sum(leaf.nbytes for leaf in jax.tree.leaves(state)))
+        check_space(folder, _METADATA_BYTES + sum(leaf.nbytes for leaf in jax.tree.leaves(state)))
         manager.save(step, args=ocp.args.StandardSave(state))
     except (OSError, ValueError, WriteError) as error:
         with contextlib.suppress(OSError):
@@ -253,7 +259,7 @@ def train(
         rays.max_radiance,
         manifest.local_frame,
     )
-    with alone_in(folder):
+    with exclusive(folder):
         # Again, since another process may have worked in the folder meanwhile.
         _check_folder(folder, config, resume)
         try:

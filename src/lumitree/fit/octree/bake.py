@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from lumitree.asset.asset import Asset
 from lumitree.core.dataset import Dataset
 from lumitree.core.harmonics import Y_00, num_coefficients
-from lumitree.core.interrupt import deferred_interrupt
+from lumitree.core.interruption import deferred_interrupt
 from lumitree.core.progress import progress
 from lumitree.core.seeds import MAX_SEED, Purpose, SeedStream
 from lumitree.errors import LumitreeError, LumitreeWarning

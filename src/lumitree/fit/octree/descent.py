@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.device import on_device
-from lumitree.core.interrupt import Interruption
+from lumitree.core.interruption import Interruption
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.fit.octree.calibration import calibrate

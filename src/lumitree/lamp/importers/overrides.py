@@ -1,21 +1,58 @@
-"""Settings that replace or complete a model's file: materials, emission, unit, up axis."""
+"""Settings that replace or complete a model's file: materials, emission, unit, up axis.
+
+They are read from a TOML file, see docs/bring-your-own-lamp.md. Error messages contain the name of
+the file and the key.
+"""
 
 import dataclasses
+import math
 import warnings
-from collections.abc import Mapping, Sequence
-from typing import Literal
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 
+from lumitree.asset.materials import CONDUCTORS
 from lumitree.core.frames import similarity
-from lumitree.core.photometry import radiance_from_flux
+from lumitree.core.photometry import (
+    MAX_TEMPERATURE,
+    MIN_TEMPERATURE,
+    blackbody_colour,
+    radiance_from_flux,
+)
+from lumitree.core.toml_table import (
+    Table,
+    UnexpectedError,
+    boolean,
+    dictionary,
+    is_number,
+    number,
+    read_toml,
+    shown_value,
+    text,
+)
+from lumitree.core.units import UNITS
 from lumitree.errors import LumitreeError, LumitreeWarning, shown, shown_names
 from lumitree.lamp.importers.topology import count_solids
-from lumitree.lamp.masked_emission import opacity_of_faces
 from lumitree.lamp.meshes import Floats, Mesh, area_normals, join
-from lumitree.lamp.names import select_names
-from lumitree.lamp.parts import RGB, WHITE, Geometry, Glass, Material, Part, Surface
-from lumitree.lamp.scene_writer import transmits
+from lumitree.lamp.parts import (
+    RGB,
+    WHITE,
+    Diffuse,
+    Geometry,
+    Glass,
+    Material,
+    Medium,
+    Metal,
+    Part,
+    Principled,
+    Surface,
+    Texture,
+    Value,
+    select_names,
+    transmits,
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -110,7 +147,6 @@ def select_parts(model: Geometry, keep: Sequence[str], drop: Sequence[str], file
     Patterns match the name of a part, its object or its material. A part with several copies keeps
     the copies whose objects match. A pattern without a match, or an empty selection, is refused.
     """
-    titles = {material.name: material.title for material in model.materials}
     objects = {name for part in model.parts for name in part.objects}
     copies = [(part, at) for part in model.parts for at in range(len(part.places))]
     names = []
@@ -118,7 +154,7 @@ def select_parts(model: Geometry, keep: Sequence[str], drop: Sequence[str], file
         own = [part.objects[at]] if part.objects else []
         # Also the name of a part of an object of another name.
         own += [] if part.name in objects else [part.name]
-        names.append(tuple(dict.fromkeys([*own, titles[part.material], part.material])))
+        names.append(tuple(dict.fromkeys([*own, model.material(part).title, part.material])))
     chosen = select_names(names, keep, drop, file, "part or material")
     kept: dict[str, list[int]] = {}
     for (part, at), wanted in zip(copies, chosen, strict=True):
@@ -149,9 +185,9 @@ def emitting_area(model: Geometry, title: str) -> float:
 
     Every copy counts.
     """
-    total, materials = 0.0, {material.name: material for material in model.materials}
+    total = 0.0
     for part in _parts_with(model, title):
-        opacity = opacity_of_faces(materials[part.material].opacity, part.mesh)
+        opacity = opacity_of_faces(model.material(part).opacity, part.mesh)
         normals = opacity[:, None] * area_normals(part.mesh.vertices, part.mesh.faces)
         for place in part.places:
             linear = place[:3, :3]
@@ -159,6 +195,46 @@ def emitting_area(model: Geometry, title: str) -> float:
             cofactors = np.linalg.det(linear) * np.linalg.inv(linear)
             total += float(np.linalg.norm(normals @ cofactors, axis=1).sum()) / 2
     return total
+
+
+def opacity_of_faces(opacity: Value, mesh: Mesh) -> Floats:
+    """Mean opacity [F] of the faces of a mesh."""
+    count = len(mesh.faces)
+    if not isinstance(opacity, Texture):
+        return np.full(count, float(opacity))
+    if mesh.uv is None:
+        return np.full(count, float(_looked_up(opacity, np.zeros((1, 2)))[0]))
+    points = _points_of_triangle(math.isqrt(_POINTS // max(count, 1)))
+    uv = np.einsum("pc,fcx->pfx", points, mesh.uv[mesh.faces])
+    return _looked_up(opacity, uv.reshape(-1, 2)).reshape(len(points), count).mean(axis=0)
+
+
+def _points_of_triangle(parts: int) -> Floats:
+    """Barycentric coordinates [N, 3] of the middles of the equal parts of a triangle."""
+    side = min(max(parts, 1), 128)
+    i, j = (each.ravel() for each in np.meshgrid(np.arange(side), np.arange(side)))
+    upright = np.stack([i, j], axis=1)[i + j < side] + 1 / 3
+    turned = np.stack([i, j], axis=1)[i + j < side - 1] + 2 / 3
+    two = np.concatenate([upright, turned]) / side
+    return np.column_stack([two, 1 - two.sum(axis=1)])
+
+
+def _looked_up(texture: Texture, uv: Floats) -> Floats:
+    """Values [N] of the nearest pixels of a texture with one channel, in [0, 1]."""
+    place = uv @ texture.uv_transform[:2, :2].T + texture.uv_transform[:2, 2]
+    match texture.wrap:
+        case "repeat":
+            place = place % 1.0
+        case "mirror":
+            place = 1 - np.abs(place % 2.0 - 1)
+        case "clamp":
+            pass
+    height, width = texture.pixels.shape[:2]
+    column, row = (
+        np.clip(np.floor(place[:, axis] * size), 0, size - 1).astype(np.int64)
+        for axis, size in ((0, width), (1, height))
+    )
+    return texture.pixels[row, column, 0] / 255.0
 
 
 def _in_metres(model: Geometry, overrides: Overrides) -> Geometry:
@@ -201,7 +277,6 @@ def _divided(colour: RGB, divisor: float) -> RGB:
 
 
 def _resurfaced(model: Geometry, material: Material, change: MaterialOverride) -> Material:
-    """The material with the surface and the opacity of an override."""
     if change.surface is not None:
         # Opacity and normal map belong to the surface that is replaced.
         material = Material(
@@ -217,7 +292,6 @@ def _resurfaced(model: Geometry, material: Material, change: MaterialOverride) -
 
 
 def _lit(model: Geometry, material: Material, change: MaterialOverride, file: str) -> Material:
-    """The material with the emission of an override."""
     if change.emission is None:
         return material
     radiance = _radiance(model, material.title, change.emission, file)
@@ -264,9 +338,7 @@ def _whole_meshes(parts: Sequence[Part]) -> list[Mesh]:
 
 
 def _parts_with(model: Geometry, title: str) -> list[Part]:
-    """The parts with a material of the file."""
-    names = {material.name for material in model.materials if material.title == title}
-    return [part for part in model.parts if part.material in names]
+    return [part for part in model.parts if model.material(part).title == title]
 
 
 def _radiance(model: Geometry, title: str, emission: Emission, file: str) -> RGB | None:
@@ -279,3 +351,168 @@ def _radiance(model: Geometry, title: str, emission: Emission, file: str) -> RGB
     if area <= 0:
         raise LumitreeError(f"{file}: material {shown(title)!r} has no area to emit lumens from")
     return radiance_from_flux(emission.lumens, area, emission.colour)
+
+
+_MAX_EMISSION = 1e9
+# Points at which the opacity of a mesh is looked up, about.
+_POINTS = 1 << 18
+
+
+def read_overrides(path: Path) -> Overrides:
+    """Read a TOML file of overrides."""
+    top = read_toml(path, "a TOML file of overrides")
+    materials = top.take("material", dictionary("[material.NAME] tables")) or {}
+    result = Overrides(
+        file=str(path),
+        metres_per_unit=top.take("units", _units) or 1.0,
+        up=top.take("up", _up) or "y",
+        variant=top.take("variant", text),
+        materials={
+            name: _material(Table(path, shown(f"material.{name}"), _as_table(path, name, value)))
+            for name, value in materials.items()
+        },
+    )
+    top.finish()
+    return result
+
+
+def _as_table(path: Path, name: str, value: Any) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise LumitreeError(
+            f"{shown(path, 300)}: material.{shown(name)} is {shown_value(value)}; expected a table"
+        )
+    return value
+
+
+def _material(table: Table) -> MaterialOverride:
+    readers = {
+        "glass": _glass,
+        "metal": _metal,
+        "diffuse": _diffuse,
+        "principled": _principled,
+    }
+    surfaces: list[tuple[Surface, bool]] = []
+    for key, read in readers.items():
+        own = table.table(key)
+        if own is not None:
+            surfaces.append(read(own))
+            own.finish()
+    if len(surfaces) > 1:
+        table.fail(f"{table.name} has {len(surfaces)} surfaces; expected one")
+    light = table.table("emitter")
+    emission = None
+    if light is not None:
+        emission = _emission(light)
+        light.finish()
+    opacity = table.take("opacity", number(0.0, 1.0))
+    table.finish()
+    surface, guess_thin = surfaces[0] if surfaces else (None, False)
+    return MaterialOverride(surface, guess_thin, emission, opacity)
+
+
+def _glass(table: Table) -> tuple[Surface, bool]:
+    thin = table.take("thin", boolean)
+    glass = Glass(
+        ior=table.take("ior", number(1.0, 4.0, open_low=True)) or 1.5,
+        roughness=table.take("roughness", number(0.0, 1.0)) or 0.0,
+        tint=table.take("tint", _rgb(1.0)) or WHITE,
+        thin=bool(thin),
+    )
+    absorption = table.take("absorption", _rgb(_MAX_EMISSION))
+    scattering = table.take("scattering", _rgb(_MAX_EMISSION))
+    anisotropy = table.take("anisotropy", number(-0.99, 0.99)) or 0.0
+    solid_only = glass.roughness > 0 or absorption is not None or scattering is not None
+    if thin and solid_only:
+        table.fail(
+            f"{table.name} is thin; a thin sheet has no roughness, absorption or scattering: use "
+            "tint, or thin = false"
+        )
+    extinction = [*(absorption or ()), *(scattering or ())]
+    if any(extinction):
+        black = (0.0, 0.0, 0.0)
+        medium = Medium(absorption or black, scattering or black, anisotropy)
+        glass = dataclasses.replace(glass, medium=medium)
+    return glass, thin is None and not solid_only
+
+
+def _metal(table: Table) -> tuple[Surface, bool]:
+    return (
+        Metal(
+            tint=table.take("tint", _rgb(1.0)) or WHITE,
+            roughness=_or(table.take("roughness", number(0.0, 1.0)), 0.0),
+            conductor=table.take("conductor", _conductor) or "none",
+        ),
+        False,
+    )
+
+
+def _diffuse(table: Table) -> tuple[Surface, bool]:
+    return Diffuse(table.take("reflectance", _rgb(1.0)) or (0.5, 0.5, 0.5)), False
+
+
+def _principled(table: Table) -> tuple[Surface, bool]:
+    share = number(0.0, 1.0)
+    return (
+        Principled(
+            base_color=table.take("base_color", _rgb(1.0)) or (0.5, 0.5, 0.5),
+            metallic=_or(table.take("metallic", share), 0.0),
+            roughness=_or(table.take("roughness", share), 0.5),
+            ior=table.take("ior", number(1.0, 4.0, open_low=True)) or 1.5,
+            clearcoat=_or(table.take("clearcoat", share), 0.0),
+            transmission=_or(table.take("transmission", share), 0.0),
+            diffuse_transmission=_or(table.take("diffuse_transmission", number(0.0, 2.0)), 0.0),
+            thin=bool(table.take("thin", boolean)),
+        ),
+        False,
+    )
+
+
+def _emission(table: Table) -> Emission:
+    radiance = table.take("radiance", _rgb(_MAX_EMISSION))
+    lumens = table.take("lumens", number(0.0, _MAX_EMISSION, open_low=True))
+    temperature = table.take("temperature", number(MIN_TEMPERATURE, MAX_TEMPERATURE))
+    if (radiance is None) == (lumens is None):
+        table.fail(f"{table.name} needs either radiance or lumens")
+    colour = WHITE if temperature is None else blackbody_colour(temperature)
+    if radiance is None:
+        return Emission(None, lumens or 0.0, colour)
+    if temperature is not None and len(set(radiance)) > 1:
+        table.fail(f"{table.name} has a temperature, so its radiance has to be one number")
+    red, green, blue = (factor * channel for factor, channel in zip(radiance, colour, strict=True))
+    return Emission((red, green, blue))
+
+
+def _or(value: float | None, default: float) -> float:
+    return default if value is None else value
+
+
+def _rgb(high: float) -> Callable[[Any], RGB]:
+    def read(value: Any) -> RGB:
+        channels = value if isinstance(value, list) else [value] * 3
+        if len(channels) != 3 or not all(
+            is_number(channel) and 0 <= channel <= high for channel in channels
+        ):
+            raise UnexpectedError(f"[R, G, B] or one number, each from 0 to {high:g}")
+        return (float(channels[0]), float(channels[1]), float(channels[2]))
+
+    return read
+
+
+def _units(value: Any) -> float:
+    if isinstance(value, str) and value in UNITS:
+        return UNITS[value]
+    if not is_number(value) or not 1e-6 <= value <= 1e6:
+        raise UnexpectedError(f"one of {', '.join(UNITS)}, or the metres in a unit")
+    return float(value)
+
+
+def _up(value: Any) -> Literal["y", "z"]:
+    if value not in ("y", "z"):
+        raise UnexpectedError("'y' or 'z'")
+    return value
+
+
+def _conductor(value: Any) -> str:
+    if not isinstance(value, str) or value not in CONDUCTORS:
+        raise UnexpectedError("Ag, Al, Au, Cr, Cu, W or another of Mitsuba's, or none")
+    return value
