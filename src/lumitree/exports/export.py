@@ -25,7 +25,7 @@ from lumitree.exports import blender, gltf, ies_folder, pbrt, radiance, usd
 from lumitree.exports.target import ExportRequest, Importer, Target
 from lumitree.rendering.asset_cache import open_asset, refuse_frame
 
-# By measurement, see docs/decisions/blender.md.
+# By measurement, see docs/decisions/other-programs.md.
 DEFAULT_LIGHTS, MAX_LIGHTS = 16, 1024
 # A folder has no suffix.
 TARGETS: dict[str, Target] = {
