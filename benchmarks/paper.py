@@ -25,8 +25,7 @@ from benchmarks.paper_tables.cells import Cell, Store
 from benchmarks.paper_tables.page import all_cells, write_page
 from benchmarks.paper_tables.scales import SCALE_NAMES, SCALES, ScaleName
 from benchmarks.paper_tables.work import OutOfTimeError, Work
-from lumitree.core.backend import load_mitsuba
-from lumitree.core.extras import check_network
+from lumitree.core.backend import check_network, load_mitsuba
 from lumitree.errors import LumitreeError
 
 # Scales that the page shows together.

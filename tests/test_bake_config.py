@@ -11,9 +11,13 @@ import lumitree
 from lumitree.cli import main
 from lumitree.cli.config_file import config_text, read_config
 from lumitree.core.toml_table import Table
-from lumitree.fit.config import NETWORK_BAKES, QUALITIES, BakeConfig, NetworkConfig
+from lumitree.fit.config import BakeConfig, NetworkConfig
+from lumitree.fit.octree.config import OctreeConfig
 
-PRESETS = [*QUALITIES.values(), *NETWORK_BAKES.values()]
+CONFIGS = [
+    *(BakeConfig.of(quality) for quality in ("preview", "standard", "high")),
+    *(BakeConfig.of(quality, "network") for quality in ("preview", "paper")),
+]
 
 
 @pytest.fixture(autouse=True)
@@ -40,22 +44,24 @@ def names(config, within=""):
 
 
 def test_the_defaults_are_the_documented_qualities():
-    assert QUALITIES["standard"] == BakeConfig()
-    assert NETWORK_BAKES["preview"] == NetworkConfig()
+    assert BakeConfig.of("standard") == BakeConfig() == BakeConfig.of()
+    assert BakeConfig.of(method="network") == BakeConfig.of("preview", "network")
+    for quality, method in (("paper", "octree"), ("high", "network"), ("highest", "octree")):
+        with pytest.raises(lumitree.LumitreeError, match="quality"):
+            BakeConfig.of(quality, method)
 
 
-@pytest.mark.parametrize("config", PRESETS)
+@pytest.mark.parametrize("config", CONFIGS)
 def test_a_file_with_all_values_has_the_settings(config, tmp_path):
     values = re.sub(r"^#(\w+ = (?!\.\.\.))", r"\1", config_text(config), flags=re.MULTILINE)
-    other = QUALITIES["preview"] if isinstance(config, BakeConfig) else NETWORK_BAKES["preview"]
-    found, given = read(values, other, tmp_path / "a.toml")
+    found, given = read(values, BakeConfig.of("preview"), tmp_path / "a.toml")
     assert found == config
     absent = {name for name in names(config) if operator.attrgetter(name)(config) is None}
     assert set(given) == set(names(config)) - absent
 
 
-@pytest.mark.parametrize("config", [BakeConfig(), NetworkConfig()])
-def test_a_written_file_describes_each_setting_and_changes_none(config, tmp_path):
+def test_a_written_file_describes_each_setting_and_changes_none(tmp_path):
+    config = BakeConfig()
     text = config_text(config)
     assert read(text, config, tmp_path / "a.toml") == (config, [])
     lines = text.splitlines()
@@ -66,12 +72,13 @@ def test_a_written_file_describes_each_setting_and_changes_none(config, tmp_path
 
 def test_a_budget_of_rays_replaces_that_of_time(tmp_path):
     path = tmp_path / "a.toml"
-    assert read("rays = 9", BakeConfig(), path)[0] == BakeConfig(rays=9, time=None)
-    both = BakeConfig(rays=9, time=2.0)
-    assert read("rays = 9\ntime = 2", BakeConfig(), path)[0] == both
+    octree = read("[octree]\nrays = 9", BakeConfig(), path)[0].octree
+    assert octree == OctreeConfig(rays=9, time=None)
+    octree = read("[octree]\nrays = 9\ntime = 2", BakeConfig(), path)[0].octree
+    assert octree == OctreeConfig(rays=9, time=2.0)
     # The rays of a group are no budget.
     group, given = read("[octree.refine]\nrays = 16", BakeConfig(), path)
-    assert group.time == BakeConfig().time
+    assert group.octree.time == BakeConfig().octree.time
     assert group.octree.refine.rays == 16
     assert given == ["octree.refine.rays"]
 
@@ -79,17 +86,12 @@ def test_a_budget_of_rays_replaces_that_of_time(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("tree_depth = 99", "bake.toml: tree depth is 99; expected 1 to 10"),
-        ("time = true", "time is 'True'; expected a number"),
-        ("law = 'cubic'", "law is 'cubic'; expected linear, exponential"),
+        ("[octree]\ntree_depth = 99", "bake.toml: tree depth is 99; expected 1 to 10"),
+        ("[octree]\ntime = true", "octree.time is 'True'; expected a number"),
+        ("[octree]\nlaw = 'cubic'", "law is 'cubic'; expected linear, exponential"),
         ("tree_deep = 1", "unknown key 'tree_deep'"),
         ("[octree.refine]\nray = 1", "unknown key 'octree.refine.ray'"),
         ("[octree.refine]\nrays = 17", "rays is 17; expected a multiple of 16"),
-        (
-            'parts = ["field"]\n[octree.views]\nhull_level = 3',
-            "octree.views.hull_level: not for a luminaire such as",
-        ),
-        ("rays = 5", "rays: for the radiance field, which is not made; add --parts all"),
         ("octree = 3", "octree is '3'; expected a table"),
     ],
 )
@@ -113,20 +115,17 @@ def test_a_command_writes_a_file(folder, capsys, method):
 
 
 def test_settings_out_of_range_are_refused_when_they_are_made():
-    for options, message in (
-        ({"tree_depth": 11}, "tree depth is 11"),
-        ({"lumens": 0.0}, "lumens is 0"),
-        ({"seed": -1}, "seed is -1"),
-        ({"time": None}, "needs a budget"),
+    literal = dataclasses.replace(NetworkConfig().train, emission_weights="literal")
+    for make, message in (
+        (lambda: OctreeConfig(tree_depth=11), "tree depth is 11"),
+        (lambda: OctreeConfig(time=None), "needs a budget"),
+        (lambda: BakeConfig(lumens=0.0), "lumens is 0"),
+        (lambda: BakeConfig(seed=-1), "seed is -1"),
+        (lambda: NetworkConfig(views=0), "views is 0"),
+        (lambda: NetworkConfig(train=literal), "expected decrease"),
     ):
         with pytest.raises(lumitree.LumitreeError, match=message):
-            BakeConfig(**options)
-    train = dataclasses.replace(NetworkConfig().train, seed=3)
-    with pytest.raises(lumitree.LumitreeError, match=r"train\.seed is 3; expected 0"):
-        NetworkConfig(train=train)
-    literal = dataclasses.replace(NetworkConfig().train, emission_weights="literal")
-    with pytest.raises(lumitree.LumitreeError, match="expected decrease, as no asset has others"):
-        NetworkConfig(train=literal)
+            make()
 
 
 def test_the_order_of_parts_is_no_setting():

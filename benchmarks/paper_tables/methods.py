@@ -120,7 +120,7 @@ def first_samples(pixels: int) -> int:
 
 def pace(method: Method) -> float:
     """CPU seconds of a sample a pixel, from the long run."""
-    return method.long.seconds["cpu"] / method.long.samples_per_pixel
+    return method.long.seconds["cpu"] / method.long.spp
 
 
 def _paced(method: Method) -> list[dict[str, Any]]:

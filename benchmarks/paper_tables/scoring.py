@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from benchmarks.paper_tables.pictures import views as picture
 from benchmarks.paper_tables.work import Built, Work
 from lumitree.asset.file import load
-from lumitree.core.dataset import Dataset, Frame
-from lumitree.core.directions import orthographic_rays
+from lumitree.core.frames import orthographic_rays
+from lumitree.lamp.dataset import Dataset, Frame
 
 if TYPE_CHECKING:
     from lumitree.fit.network.trained_field import TrainedField

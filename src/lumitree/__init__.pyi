@@ -23,11 +23,7 @@ from .exports.blender_extension import (
 from .exports.export import ExportResult as ExportResult
 from .exports.export import export as export
 from .fit.bake import bake as bake
-from .fit.bake import bake_views as bake_views
 from .fit.bake import refine as refine
-from .fit.bake_network import (
-    bake_network as bake_network,
-)
 from .fit.bake_network import (
     capture as capture,
 )
@@ -40,8 +36,6 @@ from .fit.bake_network import (
 from .fit.config import BakeConfig as BakeConfig
 from .fit.config import NetworkConfig as NetworkConfig
 from .fit.octree.config import OctreeConfig as OctreeConfig
-from .fit.octree.config import OctreeFitConfig as OctreeFitConfig
-from .fit.photometric_files import bake_photometric as bake_photometric
 from .fit.result import (
     BakeResult as BakeResult,
 )

@@ -229,7 +229,7 @@ def test_variants(made):
         assert lumitree.load(path).luminaire == "lamp name of b"
     assert lumitree.load(path + "#a").luminaire == "lamp name of a"
     assert lumitree.load(path + "#a") is lumitree.load(path + "#a")
-    assert lumitree.bake_photometric(path + "#name of a").asset.luminaire == "lamp name of a"
+    assert lumitree.bake(path + "#name of a").asset.luminaire == "lamp name of a"
     assert asset_report(lumitree.load(path + "#a"), path + "#a")["file_bytes"] == os.path.getsize(
         path
     )

@@ -124,7 +124,7 @@ def images(folder, *sources):
         lumitree.render(
             folder / "room.xml",
             [lumitree.Placement(source, at=(0, 0.2, 0))],
-            samples_per_pixel=16,
+            spp=16,
         ).pixels
         for source in sources
     ]
@@ -140,7 +140,7 @@ def assert_similar(first, second):
     ("kind", "parts"), [("xml", ("light", "geometry")), slow("obj", ("field",))]
 )
 def test_a_far_lamp_renders_as_the_near_one(mi, lamps, tmp_path, monkeypatch, kind, parts):
-    tiny_bakes.set_qualities(monkeypatch.setitem, tree_depth=4, l_max=0)
+    tiny_bakes.set_qualities(monkeypatch.setattr, tree_depth=4, l_max=0)
     near, far = (
         lumitree.bake(
             lamp,

@@ -40,7 +40,7 @@ TABLE = "1\n3\n0 45 90\n0.9 1 1\n"
 @pytest.fixture(autouse=True)
 def folder(tmp_path, monkeypatch, mi):
     monkeypatch.chdir(tmp_path)
-    set_qualities(monkeypatch.setitem)
+    set_qualities(monkeypatch.setattr)
     for name, radius in (("a", 1.0), ("b", 0.5), ("c", 0.25)):
         (tmp_path / f"{name}.xml").write_text(scene(sphere("ball", radius, inside=AREA)))
     (tmp_path / "dark.xml").write_text(scene(sphere("ball", 1)))
@@ -61,7 +61,7 @@ def quick(monkeypatch):
             asset=asset, irradiance=None, finished=True, stopped_by=None, seconds={"light": 1.0}
         )
 
-    monkeypatch.setattr(module, "bake_source", bake)
+    monkeypatch.setattr(module, "bake", bake)
     monkeypatch.setattr(module, "write_thumbnail", lambda *_: None)
     monkeypatch.setattr("lumitree.rendering.asset_flux.asset_lumens", lambda _: 5.0)
     return names
@@ -144,7 +144,7 @@ def test_an_unexpected_error_is_a_failure_and_a_full_disk_ends_the_list(monkeypa
     def fail(*_, **__):
         raise errors[-1]
 
-    monkeypatch.setattr(module, "bake_source", fail)
+    monkeypatch.setattr(module, "bake", fail)
     (failed,) = bake(["a.xml"]).failed
     assert failed.error == "unexpected ZeroDivisionError: division by zero"
     errors.append(WriteError(Path("out/a.lumitree"), OSError(28, os.strerror(28))))
@@ -230,7 +230,7 @@ def test_a_signal_ends_the_list_and_the_same_call_continues(monkeypatch, quick):
         signal.raise_signal(signal.SIGTERM)
 
     with monkeypatch.context() as patch:
-        patch.setattr(module, "bake_source", stop)
+        patch.setattr(module, "bake", stop)
         stopped = bake(["a.xml", "b.xml"])
     assert stopped.stopped_by == signal.SIGTERM
     assert not stopped.finished
@@ -260,7 +260,7 @@ def test_the_best_field_so_far_is_written_and_continued(folder):
             stopped.append(report)
             signal.raise_signal(signal.SIGINT)
 
-    config = standard(parts=("field",), irradiance_paths=0, rays=1 << 19)
+    config = standard(parts=("field",), irradiance_paths=0)
     first = lumitree.bake_many(["a.xml"], "out", config, progress=stop)
     assert states(first) == [("a", "interrupted")]
     assert first.stopped_by == signal.SIGINT
@@ -304,7 +304,7 @@ def test_wrong_arguments_are_refused_before_any_work(folder, quick):
     [
         ("a.xml b.xml -o a.lumitree", "is the name of one asset"),
         ("a.xml b.xml -o out --config work.toml", "work: for one luminaire"),
-        ("a.xml b.xml -o out --method network", "--method network: for one"),
+        ("a.xml b.xml -o out --method network", "method network: for one"),
         ("a.xml b.xml -o a.xml", "a.xml is read, and would be written over"),
         ("a.xml -o a.lumitree --task 1/2", "--task: for several luminaires"),
         ("a.xml b.xml -o out --task 1/2/3", "is not a task; write K/N"),

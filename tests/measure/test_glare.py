@@ -41,7 +41,7 @@ def test_ugr_of_a_square_source(mi, offset, side):
         },
         "integrator": {"type": "path"},
     }
-    image = lumitree.render(scene, samples_per_pixel=4)
+    image = lumitree.render(scene, spp=4)
     assert image.camera is not None
     assert (image.camera.horizontal, image.camera.vertical) == pytest.approx((60, 60), abs=1e-3)
     assert image.camera.direction == pytest.approx((0, 0, -1), abs=1e-6)
@@ -63,7 +63,7 @@ def view_of(values):
     camera = {"type": "perspective", "fov": 60, "film": film}
     light = {"type": "constant", "radiance": {"type": "rgb", "value": 1}}
     scene = {"type": "scene", "light": light, "camera": camera, "integrator": {"type": "path"}}
-    return dataclasses.replace(lumitree.render(scene, samples_per_pixel=1), pixels=pixels)
+    return dataclasses.replace(lumitree.render(scene, spp=1), pixels=pixels)
 
 
 def discs(size, discs, background):
@@ -147,7 +147,7 @@ def test_ugr_of_a_room_at_three_resolutions(mi):
             "film": {"type": "hdrfilm", "width": size, "height": size},
             "to_world": to_world.look_at([0, 0, 2.5], [0, 0, -1], [0, 1, 0]),
         }
-        image = lumitree.render(scene, samples_per_pixel=4)
+        image = lumitree.render(scene, spp=4)
         ratings.append(lumitree.glare(image, 500).ugr)
     assert max(ratings) - min(ratings) < 0.5
 
@@ -223,7 +223,7 @@ def test_an_even_view_has_no_source(mi):
         "integrator": {"type": "path"},
     }
     scene["camera"]["film"]["height"] = 64
-    found = lumitree.glare(lumitree.render(scene, samples_per_pixel=1), 200)
+    found = lumitree.glare(lumitree.render(scene, spp=1), 200)
     assert math.isnan(found.ugr)
     assert found.source_solid_angle == 0
     assert found.background == pytest.approx(68.3, rel=0.02)
@@ -236,7 +236,7 @@ def test_the_corners_of_an_image_may_be_dark(mi):
     camera["film"] |= {"height": 512}
     camera["to_world"] = mi.ScalarTransform4f().look_at([0, 0, 0], [0, 0, -1], [0, 1, 0])
     scene = {"type": "scene", "sphere": sphere, "camera": camera, "path": {"type": "path"}}
-    image = lumitree.render(scene, samples_per_pixel=16)
+    image = lumitree.render(scene, spp=16)
     found = lumitree.glare(image, 1)
     # With pixels at the edge of the sphere.
     assert found.source_solid_angle == pytest.approx(math.pi * 0.05**2, rel=0.25)
@@ -255,7 +255,7 @@ def test_the_view_of_a_crop_window(mi, offset, seen):
         "light": {"type": "constant"},
         "path": {"type": "path"},
     }
-    image = lumitree.render(scene, samples_per_pixel=1)
+    image = lumitree.render(scene, spp=1)
     assert image.resolution == (64, 128)
     if not seen:
         assert image.camera is None
@@ -268,7 +268,7 @@ def test_what_has_no_glare_is_refused(mi):
     camera = {"type": "orthographic", "film": {"type": "hdrfilm", "width": 64, "height": 64}}
     scene = {"type": "scene", "camera": camera, "light": {"type": "constant"}}
     scene["integrator"] = {"type": "path"}
-    image = lumitree.render(scene, samples_per_pixel=1)
+    image = lumitree.render(scene, spp=1)
     with pytest.raises(lumitree.LumitreeError, match="not a perspective one"):
         lumitree.glare(image, 100)
     assert np.isfinite(image.luminance).all()

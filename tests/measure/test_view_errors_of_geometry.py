@@ -15,7 +15,7 @@ def test_geometry_is_compared_where_there_is_no_field(mi, tmp_path):
     path = tmp_path / "lamp.xml"
     path.write_text(scene(sphere("ball", 0.5, inside=AREA), sphere("other", 0.2, (0.9, 0, 0))))
     lamp = load_luminaire(path)
-    views = capture(lamp, tmp_path / "views", num_views=2, resolution=32, samples_per_pixel=64)
+    views = capture(lamp, tmp_path / "views", views=2, resolution=32, spp=64)
     parts = {"both": ("light", "geometry"), "light": ("light",)}
     assets = {
         name: lumitree.bake(lamp, config=bake_config(parts=each)).asset

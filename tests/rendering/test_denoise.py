@@ -38,7 +38,7 @@ def test_a_denoised_lamp_of_two_samples_is_as_bright_as_a_converged_one(mi, tmp_
     globe = sphere("globe", 0.5, inside=ROUGH), sphere("hollow", 0.47, inside=ROUGH, flip=True)
     (tmp_path / "globe.xml").write_text(scene(*globe, sphere("bulb", 0.1, inside=AREA)))
     few = lumitree.LightFieldConfig(paths=1 << 17, depth=3, resolution=8)
-    config = lumitree.BakeConfig(parts=("light", "geometry"), irradiance_paths=0, light_field=few)
+    config = lumitree.BakeConfig(parts=("light", "geometry"), irradiance_paths=0, light=few)
     lumitree.bake(tmp_path / "globe.xml", tmp_path / "globe.lumitree", config, progress=None)
     wall = {"type": "rectangle", "to_world": mi.ScalarTransform4f().translate([0, 0, -2]).scale(3)}
     look = mi.ScalarTransform4f().look_at([0, 0, 3], [0, 0, 0], [0, 1, 0])

@@ -14,20 +14,15 @@ from lumitree.errors import LumitreeError, shown
 
 if TYPE_CHECKING:
     from lumitree.asset.asset import Asset
-    from lumitree.fit.config import BakeConfig, NetworkConfig
+    from lumitree.fit.config import BakeConfig
 
 # Options that are fields of the settings.
 _FIELDS = ("time", "seed", "parts", "lumens", "temperature")
-# Options that choose who traces light paths.
-_WORKERS = ("workers", "scheduler")
-# Only the radiance field depends on these and on the group `octree`.
-_OF_FIELD = ("time", "rays", "tree_depth", "l_max", "law", "octree")
 _SHOWN = {
     "geometry": "Images show the lamp's own geometry.",
     "field": "Images show the radiance field.",
     "light": "Images show the light field, blurred.",
 }
-_QUALITIES = {"octree": ("preview", "standard", "high"), "network": ("preview", "paper")}
 _MAX_LIST_BYTES = 1 << 26
 _HEAD = """# Settings of 'lumitree bake --config FILE'. Remove the # before a setting to change it.
 # "..." stands for None: the setting has no value unless it is given.
@@ -39,31 +34,6 @@ _HEAD = """# Settings of 'lumitree bake --config FILE'. Remove the # before a se
 # Mitsuba variant. Default: "llvm_ad_rgb".
 #variant = ...
 """
-
-
-@dataclasses.dataclass(frozen=True)
-class _Settings:
-    """Settings from the options and from the file of `--config`.
-
-    Attributes:
-        config: settings of the bake.
-        given: the fields of `config` that are given, with the names by which they are given; also
-            "work", "quality", "workers" and "scheduler".
-        work, variant: as for `lumitree.bake`.
-    """
-
-    config: "BakeConfig | NetworkConfig"
-    given: dict[str, str]
-    work: str | None
-    variant: str | None
-
-    def given_of(self, fields: tuple[str, ...]) -> list[str]:
-        """Names of what is given of these fields and groups."""
-        return [
-            name
-            for field, name in self.given.items()
-            if any(field == each or field.startswith(f"{each}.") for each in fields)
-        ]
 
 
 def add(commands: Any) -> None:
@@ -87,8 +57,7 @@ def add(commands: Any) -> None:
     )
     parser.add_argument(
         "--method",
-        choices=tuple(_QUALITIES),
-        default="octree",
+        choices=("octree", "network"),
         help="octree: from traced rays; network: by a network, as in the paper; needs "
         "the extra 'network'",
     )
@@ -169,8 +138,7 @@ def _parts(text: str) -> tuple[str, ...]:
 
 def run(args: argparse.Namespace) -> Any:
     import lumitree
-    from lumitree.fit.config import BakeConfig
-    from lumitree.fit.sources import bake_source
+    from lumitree.fit.config import chosen_config
 
     if args.write_config is not None:
         return _write_config(args)
@@ -179,10 +147,28 @@ def run(args: argparse.Namespace) -> Any:
         raise LumitreeError(
             f"the following arguments are required: {what}; see 'lumitree bake --help'"
         )
-    settings = _settings(args)
+    settings = {name: getattr(args, name) for name in _FIELDS}
+    config, work, variant = _file(args)
+    if config is None:
+        settings |= {"quality": args.quality, "method": args.method}
     luminaires = [_luminaire(args, name) for name in _listed(args.luminaires)]
     if len(luminaires) != 1 or args.output.endswith(("/", os.sep)):
-        return _run_many(args, luminaires, settings)
+        if args.output.endswith(".lumitree"):
+            raise LumitreeError(
+                f"{shown(args.output, 300)} is the name of one asset, but there are "
+                f"{len(luminaires)} luminaires; give a folder"
+            )
+        if work is not None:
+            raise LumitreeError("work: for one luminaire at a time; leave it out")
+        with options.executor(args) as executor:
+            return lumitree.bake_many(
+                luminaires,
+                args.output,
+                chosen_config(config, **settings),
+                executor=executor,
+                task=args.task,
+                variant=variant,
+            )
     if args.task is not None:
         raise LumitreeError(
             "--task: for several luminaires; leave it out, or give a folder with / at its end "
@@ -194,24 +180,14 @@ def run(args: argparse.Namespace) -> Any:
             f"{shown(luminaire.title, 60)}=: for several luminaires; leave it out, or give a "
             "folder with / at its end after -o"
         )
-    if isinstance(settings.config, BakeConfig):
-        _refuse_inapplicable(luminaire, settings)
     with options.executor(args) as executor:
-        if isinstance(settings.config, BakeConfig):
-            return bake_source(
-                luminaire,
-                args.output,
-                settings.config,
-                work=settings.work,
-                variant=settings.variant,
-                executor=executor,
-            )
-        return lumitree.bake_network(
+        return lumitree.bake(
             luminaire,
             args.output,
-            settings.config,
-            work=settings.work,
-            variant=settings.variant,
+            config,
+            **settings,
+            work=work,
+            variant=variant,
             executor=executor,
         )
 
@@ -245,112 +221,19 @@ def _shown(asset: "Asset") -> str:
     return line
 
 
-def _base(args: argparse.Namespace) -> "BakeConfig | NetworkConfig":
-    """Settings of the quality of the method."""
-    from lumitree.fit.config import NETWORK_BAKES, QUALITIES
-
-    allowed = _QUALITIES[args.method]
-    if args.quality not in (None, *allowed):
-        raise LumitreeError(
-            f"--quality {args.quality}: not for --method {args.method}; expected "
-            f"{', '.join(allowed)}"
-        )
-    if args.method == "network":
-        return NETWORK_BAKES[args.quality or "preview"]
-    return QUALITIES[args.quality or "standard"]
-
-
-def _settings(args: argparse.Namespace) -> _Settings:
-    config = _base(args)
-    work = variant = None
-    given = {} if args.quality is None else {"quality": "--quality"}
-    if args.config is not None:
-        from lumitree.cli.config_file import read_config
-        from lumitree.core.toml_table import read_toml, text
-
-        table = read_toml(Path(args.config), "a TOML file of settings")
-        work, variant = table.take("work", text), table.take("variant", text)
-        config, names = read_config(table, config)
-        table.finish()
-        given |= {name: name for name in names}
-        given |= {"work": "work"} if work is not None else {}
-    values = {name: getattr(args, name) for name in _FIELDS if getattr(args, name) is not None}
-    fields = {each.name for each in dataclasses.fields(config)}
-    if unknown := [f"--{name}" for name in values if name not in fields]:
-        names = ", ".join(unknown)
-        raise LumitreeError(f"{names}: not for --method {args.method}; leave it out")
-    given |= {name: f"--{name}" for name in values}
-    for name in _WORKERS:
-        given |= {name: f"--{name}"} if getattr(args, name) is not None else {}
-    return _Settings(dataclasses.replace(config, **values), given, work, variant)
-
-
-def _refuse_inapplicable(luminaire: Any, settings: _Settings) -> None:
-    """Refuse settings that are given, and that a luminaire of this kind does not use."""
-    from lumitree.fit.sources import inapplicable
-    from lumitree.lamp.source import source_kind
-
-    kind = source_kind(luminaire)
-    unused = inapplicable(luminaire)
-    if kind == "luminaire":
-        _refuse_without_field(settings)
-        if "light" not in (settings.config.parts or ("light",)):
-            _refuse_workers(settings)
-    else:
-        unused += _WORKERS
-    if kind == "photometric":
-        unused += ("work", "quality")
-    names = settings.given_of(unused)
-    if names:
-        what = {"photometric": "a photometric file", "dataset": "a dataset"}.get(
-            kind, "a luminaire"
-        )
-        raise LumitreeError(
-            f"{', '.join(names)}: not for {what} such as {shown(luminaire, 300)}; leave it out"
-        )
-
-
-def _refuse_without_field(settings: _Settings) -> None:
-    """Refuse settings of the radiance field that are given where none is made."""
-    names = settings.given_of(_OF_FIELD)
-    if names and "field" not in (settings.config.parts or ()):
-        raise LumitreeError(
-            f"{', '.join(names)}: for the radiance field, which is not made; add --parts all, or "
-            "leave it out"
-        )
-
-
-def _refuse_workers(settings: _Settings) -> None:
-    """Refuse workers where no light paths are traced."""
-    if names := settings.given_of(_WORKERS):
-        raise LumitreeError(
-            f"{', '.join(names)}: for the light paths of the part light, which is not made; leave "
-            "it out"
-        )
-
-
-def _run_many(args: argparse.Namespace, luminaires: list[Any], settings: _Settings) -> Any:
-    import lumitree
+def _file(args: argparse.Namespace) -> "tuple[BakeConfig | None, str | None, str | None]":
+    """Settings, work folder and variant of the file of `--config`."""
+    if args.config is None:
+        return None, None, None
+    from lumitree.cli.config_file import read_config
+    from lumitree.core.toml_table import read_toml, text
     from lumitree.fit.config import BakeConfig
 
-    if not isinstance(settings.config, BakeConfig) or settings.work is not None:
-        what = f"--method {args.method}" if settings.work is None else "work"
-        raise LumitreeError(f"{what}: for one luminaire at a time; leave it out")
-    if args.output.endswith(".lumitree"):
-        raise LumitreeError(
-            f"{shown(args.output, 300)} is the name of one asset, but there are "
-            f"{len(luminaires)} luminaires; give a folder"
-        )
-    _refuse_without_field(settings)
-    with options.executor(args) as executor:
-        return lumitree.bake_many(
-            luminaires,
-            args.output,
-            settings.config,
-            executor=executor,
-            task=args.task,
-            variant=settings.variant,
-        )
+    table = read_toml(Path(args.config), "a TOML file of settings")
+    work, variant = table.take("work", text), table.take("variant", text)
+    config, _ = read_config(table, BakeConfig.of(args.quality, args.method or "octree"))
+    table.finish()
+    return config, work, variant
 
 
 def _luminaire(args: argparse.Namespace, text: str) -> Any:
@@ -363,8 +246,8 @@ def _luminaire(args: argparse.Namespace, text: str) -> Any:
 
 def _listed(names: list[str]) -> list[str]:
     """The names, with those that the file of a name @FILE lists in its place."""
+    from lumitree.core.file_kinds import in_utf8
     from lumitree.core.reading import read_bytes
-    from lumitree.core.text import in_utf8
 
     found: list[str] = []
     for name in names:
@@ -393,8 +276,9 @@ def _write_config(args: argparse.Namespace) -> dict[str, str]:
     """Write the settings of a quality; returns the text, or the path of the file."""
     from lumitree.cli.config_file import config_text
     from lumitree.core.files import write_bytes
+    from lumitree.fit.config import BakeConfig
 
-    content = _HEAD + config_text(_base(args))
+    content = _HEAD + config_text(BakeConfig.of(args.quality, args.method or "octree"))
     if args.write_config == "-":
         return {"config": content}
     write_bytes(args.write_config, content.encode())

@@ -32,9 +32,9 @@ def run(args: argparse.Namespace) -> Any:
         return lumitree.capture(
             options.luminaire(args, args.luminaire),
             args.output,
-            num_views=args.views,
+            views=args.views,
             resolution=args.resolution,
-            samples_per_pixel=args.spp,
+            spp=args.spp,
             split=args.split,
             variant=args.variant,
             executor=executor,

@@ -159,7 +159,7 @@ def add_pixels(parser: argparse.ArgumentParser, resolution: int, samples: int | 
 def add_preset(parser: argparse.ArgumentParser) -> None:
     """Add `--preset`."""
     parser.add_argument(
-        "--preset",
+        "--quality",
         choices=("preview", "paper"),
         default="preview",
         help="settings of the network. preview: minutes on 2 CPU cores; paper: hours on a GPU",

@@ -84,7 +84,7 @@ def print_metrics(report: dict[str, Any]) -> None:
     name = shown(report["asset"]["luminaire"])
     views = "irradiance"
     if report["views"]:
-        views = f"{len(report['views'])} views, {report['samples_per_pixel']:,} paths per pixel"
+        views = f"{len(report['views'])} views, {report['spp']:,} paths per pixel"
     # Not a string, in which rich would interpret markup.
     table = Table(title=Text(f"{name}: {views}"))
     table.add_column("metric")

@@ -31,7 +31,7 @@ def run(args: argparse.Namespace) -> Any:
         options.luminaire(args, args.luminaire),
         args.output,
         resolution=args.resolution,
-        samples_per_pixel=args.spp,
+        spp=args.spp,
         bounces=args.bounces,
         variant=args.variant,
     )

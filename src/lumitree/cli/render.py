@@ -98,7 +98,7 @@ def run(args: argparse.Namespace) -> Any:
         result = lumitree.render(
             args.scene,
             placements(args),
-            samples_per_pixel=args.spp,
+            spp=args.spp,
             time=args.time,
             noise=args.noise,
             denoise=args.denoise,

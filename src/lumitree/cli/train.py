@@ -25,7 +25,7 @@ def run(args: argparse.Namespace) -> Any:
     import lumitree
 
     return lumitree.train(
-        args.dataset, args.output, preset=args.preset, seed=args.seed, resume=args.resume
+        args.dataset, args.output, quality=args.quality, seed=args.seed, resume=args.resume
     )
 
 

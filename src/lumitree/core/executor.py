@@ -34,7 +34,7 @@ import numpy as np
 from lumitree._version import __version__
 from lumitree.core import backend
 from lumitree.core.arguments import check_count
-from lumitree.core.extras import check_cluster
+from lumitree.core.backend import check_cluster, passed_on, turn
 from lumitree.core.interruption import (
     begin_worker,
     interruptible,
@@ -42,7 +42,6 @@ from lumitree.core.interruption import (
     stop_signals_blocked,
 )
 from lumitree.core.progress import reporting
-from lumitree.core.turns import passed_on, turn
 from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown
 
 R = TypeVar("R")
@@ -206,7 +205,7 @@ def _explaining_loss(finished: int, what: str, total: int | None, remedy: str) -
     try:
         yield
     except Exception as error:
-        # Dask has an exception of its own.
+        # Dask raises another exception.
         if not isinstance(error, BrokenExecutor | CancelledError) and (
             type(error).__name__ != "KilledWorker"
         ):
@@ -375,7 +374,7 @@ def dask_executor(address: str) -> Iterator[Executor]:
     distributed = importlib.import_module("distributed")
 
     # Loss of connection is an exception; Dask logs it on many lines too.
-    # Some of its loggers have levels of their own.
+    # Each of its loggers may have another level.
     for name in ("distributed", *logging.root.manager.loggerDict):
         if name.partition(".")[0] == "distributed":
             logging.getLogger(name).setLevel(logging.CRITICAL + 1)

@@ -25,7 +25,6 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import NoReturn
 
-from lumitree.core.text import check_utf8
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 
 try:
@@ -45,7 +44,7 @@ _RANDOM = "[0-9a-f]{8}"
 _TEMPORARY_NAME = re.compile(rf"\.(.*){re.escape(_TEMPORARY)}{_RANDOM}((\.[^.]*)?)", re.DOTALL)
 # Files that a desktop adds to folders by itself.
 _DESKTOP_FILES = frozenset({".DS_Store", "desktop.ini", "Thumbs.db"})
-# Messages of the system about a full disk; libraries repeat them in their own.
+# Messages of the system about a full disk; libraries repeat them.
 _FULL = {
     number: text
     for number in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -121,6 +120,19 @@ def json_text(value: object, indent: int | None = None) -> str:
         raise LumitreeError(
             f"a number of the results is not finite, and no file is written ({error}); check the "
             "lamp and its images for colours that are not numbers"
+        ) from None
+
+
+def check_utf8(path: str | os.PathLike[str]) -> None:
+    """Refuse the name of a file that is not UTF-8.
+
+    Mitsuba, OpenEXR and Matplotlib refuse it with different exceptions.
+    """
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        raise LumitreeError(
+            f"the name {shown(path, 300)} is not valid UTF-8; rename it, or choose another"
         ) from None
 
 

@@ -18,7 +18,7 @@ from typing import Any, NoReturn, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.text import check_utf8
+from lumitree.core.files import check_utf8
 from lumitree.errors import LumitreeError, shown
 
 _T = TypeVar("_T", bound=str | int)
@@ -296,6 +296,14 @@ def require(condition: Any, message: str) -> None:
 def expect(what: str, condition: Any, message: str) -> None:
     """Refuse `what` with a message if the condition is false."""
     require(condition, f"invalid {what}: {message}")
+
+
+def expect_range(
+    what: str, name: str, value: object, kind: type[int] | type[float], low: float, high: float
+) -> None:
+    """Refuse `what` unless a member of it is a number of a kind in a range."""
+    known = isinstance(value, kind) and not isinstance(value, bool) and low <= value <= high
+    expect(what, known, f"{name} {value!r}, expected {low:g} to {high:g}")
 
 
 @contextlib.contextmanager

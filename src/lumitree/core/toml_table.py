@@ -11,8 +11,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn, TypeGuard, TypeVar
 
+from lumitree.core.file_kinds import in_utf8
 from lumitree.core.reading import read_bytes
-from lumitree.core.text import in_utf8
 from lumitree.errors import LumitreeError, shown
 
 _MAX_BYTES = 2**20

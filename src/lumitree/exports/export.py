@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Literal
 
 from lumitree.asset.asset import Asset
-from lumitree.core.arguments import check_choice, check_count
-from lumitree.core.backend import load_rgb
+from lumitree.core.arguments import check_choice, check_count, metres_of
+from lumitree.core.backend import in_turn, load_rgb
 from lumitree.core.files import (
     FilePath,
     atomic_files,
@@ -15,11 +15,8 @@ from lumitree.core.files import (
     check_new_folder,
     check_writable,
 )
-from lumitree.core.results import Result
+from lumitree.core.results import Result, Stopwatch
 from lumitree.core.seeds import check_seed
-from lumitree.core.stopwatch import Stopwatch
-from lumitree.core.turns import in_turn
-from lumitree.core.units import metres_of
 from lumitree.errors import LumitreeError, shown
 from lumitree.exports import blender, gltf, ies_folder, pbrt, radiance, usd
 from lumitree.exports.target import ExportRequest, Importer, Target
@@ -51,7 +48,7 @@ class ExportResult(Result):
         files: all files that were written.
         file_bytes: the size of all of them.
         lights: number of point lights.
-        triangles: number of triangles of the lamp's own surfaces.
+        triangles: number of triangles of the lamp's surfaces.
         units: one line: the units of lengths and of light.
         orientation: one line: the axis that points up, and where the origin is.
         not_carried_over: one line for each property of the lamp that the other program shows
@@ -110,8 +107,8 @@ def export(
         unit: unit of length of the luminaire's Mitsuba scene: "m", "cm", "mm", "in", "ft", or the
             metres in a unit. Models and photometric files are in metres once they are baked.
         up: the axis that points up in the luminaire's Mitsuba scene, "y" or "z"; models and
-            photometric files have y up once they are baked. Each program has its own axis up
-            (`ExportResult.orientation`), to which the lamp is turned.
+            photometric files have y up once they are baked. The lamp is turned to the axis
+            up of the program (`ExportResult.orientation`).
         blender: program that makes `.blend` files: Blender, or a Python with the module
             `bpy`. Default: `blender` on the search path, else this Python if it has `bpy`.
         importer: for `.glb`, `.usda` and `.usdz`, the program that reads the file. "blender" writes
@@ -175,15 +172,15 @@ def export(
         file_bytes=sum(each.stat().st_size for each in files),
         lights=written.lights,
         triangles=written.triangles,
-        units=written.units,
-        orientation=written.orientation,
+        units=written.units or target.units,
+        orientation=f"{target.up} is up; the origin is the origin of the lamp's file{target.note}",
         not_carried_over=lost,
         **watch.costs(),
     )
 
 
 def find_target(output: FilePath) -> Target:
-    """The target of an output: by its suffix, or the one for folders if it ends in a slash.
+    """The target of an output: by its suffix, or for folders if a slash is at its end.
 
     Raises:
         LumitreeError: there is none.

@@ -17,15 +17,13 @@ from lumitree.core.arguments import (
     check_range,
     check_sheet_output,
 )
-from lumitree.core.backend import load_rgb
-from lumitree.core.dataset import MAX_VIEWS, Dataset
+from lumitree.core.backend import in_turn, load_rgb
 from lumitree.core.files import FilePath, scratch_folder, write_bytes
-from lumitree.core.image_settings import image_settings
+from lumitree.core.images import image_settings
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
-from lumitree.core.results import ImageResult, Json
-from lumitree.core.stopwatch import Stopwatch
-from lumitree.core.turns import in_turn
+from lumitree.core.results import ImageResult, Json, Stopwatch
 from lumitree.errors import LumitreeError
+from lumitree.lamp.dataset import MAX_VIEWS, Dataset
 from lumitree.lamp.diagnosis import warn_of_faults
 from lumitree.lamp.source import dataset_folder
 from lumitree.measure.irradiance_check import check_irradiance_paths
@@ -58,7 +56,7 @@ class EvaluateResult(ImageResult):
             below. One whose reference is too noisy, or dark, is omitted.
         max_radiance: L_max of the views, W/(m² sr), by which the metrics divide radiance; None if
             there are no views, because the asset was compared with another one.
-        samples_per_pixel: paths per pixel of the views; None if there are no views.
+        spp: paths per pixel of the views; None if there are no views.
         views: metrics by name, of each view.
         asset: `Asset.info` as a dictionary, and file and size in bytes if the asset is a file.
         sheet: file of the contact sheet; None if none was written.
@@ -75,7 +73,7 @@ class EvaluateResult(ImageResult):
 
     metrics: dict[str, float]
     max_radiance: float | None
-    samples_per_pixel: int | None
+    spp: int | None
     views: list[dict[str, Any]]
     asset: Json
     sheet: Path | None
@@ -90,9 +88,9 @@ def evaluate(
     target: "Asset | LuminaireLike",
     sheet: FilePath | None = None,
     *,
-    num_views: int = 8,
+    views: int = 8,
     resolution: int = 192,
-    samples_per_pixel: int | None = None,
+    spp: int | None = None,
     time: float | None = None,
     irradiance_paths: int = IRRADIANCE_PATHS,
     variant: str | None = None,
@@ -117,13 +115,13 @@ def evaluate(
             asset with the same bounding box.
         sheet: path of the PNG file of the contact sheet. The irradiance in false colour is written
             beside it, as sheet-irradiance.png for sheet.png. Default: no file is written.
-        num_views: number of rendered views, 1 to 100,000. It does not apply to a dataset, nor do
+        views: number of rendered views, 1 to 100,000. It does not apply to a dataset, nor do
             the next three.
         resolution: pixels per side of a rendered view, 1 to 16,384.
-        samples_per_pixel: paths per pixel of a rendered view, 1 to 1,048,576. Default: the power of
+        spp: paths per pixel of a rendered view, 1 to 1,048,576. Default: the power of
             two that the time allows, which is measured first.
         time: time of the paths of all views, s, 0.001 to 10⁷. Default: none if there are
-            `samples_per_pixel`; else 8 s of processor time (of all cores together), for at most
+            `spp`; else 8 s of processor time (of all cores together), for at most
             256 paths per pixel. All else takes about as long.
         irradiance_paths: number of light paths of the luminaire, and of rays of the asset, that the
             irradiance is estimated with, up to 67,108,864. 0: it is not compared.
@@ -144,9 +142,9 @@ def evaluate(
         check_sheet_output(sheet)
         irradiance_sheet = Path(sheet).with_stem(f"{Path(sheet).stem}-irradiance")
         check_sheet_output(irradiance_sheet)
-    check_count("views", num_views, 1, MAX_VIEWS)
+    check_count("views", views, 1, MAX_VIEWS)
     check_irradiance_paths(irradiance_paths)
-    check_image_settings(resolution=resolution, spp=samples_per_pixel or 1)
+    check_image_settings(resolution=resolution, spp=spp or 1)
     if time is not None:
         check_range("time", time, 1e-3, 1e7)
     mi = load_rgb(variant)
@@ -165,20 +163,13 @@ def evaluate(
     watch = Stopwatch()
     with contextlib.ExitStack() as stack:
         stack.enter_context(reporting(progress))
-        sizes = (num_views, resolution, samples_per_pixel)
+        sizes = (views, resolution, spp)
         lamp, dataset = _references(cast(Any, target), baked, watch, stack, sizes, time)
-        samples = dataset.manifest.samples_per_pixel
-        views = (
-            {}
-            if lamp is None
-            else {
-                "num_views": num_views,
-                "resolution": resolution,
-                "samples_per_pixel": samples,
-                "irradiance_paths": irradiance_paths,
-            }
-        )
-        settings = image_settings("evaluate", asset=title, **views, variant=mi.variant())
+        samples = dataset.manifest.spp
+        budget = {} if lamp is None else {"views": views, "resolution": resolution, "spp": samples}
+        if lamp is not None:
+            budget["irradiance_paths"] = irradiance_paths
+        settings = image_settings("evaluate", asset=title, **budget, variant=mi.variant())
         with watch.stage("evaluate"):
             result = evaluate_views(baked.without_factors, dataset)
             png = draw_sheet(result.rows, result.max_radiance, title).png(settings)
@@ -194,7 +185,7 @@ def evaluate(
     return EvaluateResult(
         metrics=result.metrics | ({} if irradiance is None else irradiance.metrics),
         max_radiance=result.max_radiance,
-        samples_per_pixel=samples,
+        spp=samples,
         views=result.views,
         asset=asset_json(baked, path),
         sheet=None if sheet is None else Path(sheet),
@@ -238,9 +229,9 @@ def _references(
         dataset = capture(
             lamp,
             folder,
-            num_views=count,
+            views=count,
             resolution=resolution,
-            samples_per_pixel=samples,
+            spp=samples,
             split="test",
         )
     return lamp, dataset
@@ -248,7 +239,7 @@ def _references(
 
 def _samples_in(time: float | None, lamp: "Luminaire", resolution: int, pixels: int) -> int:
     """Paths per pixel that a time allows, a power of two; `pixels` are of all images together."""
-    from lumitree.core.directions import FIRST_TEST_INDEX, view_pose
+    from lumitree.core.frames import FIRST_TEST_INDEX, view_pose
     from lumitree.core.seeds import Purpose, SeedStream
     from lumitree.trace.cameras import Camera
 
@@ -313,7 +304,7 @@ def compare_assets(
     return EvaluateResult(
         metrics=found.metrics,
         max_radiance=None,
-        samples_per_pixel=None,
+        spp=None,
         views=[],
         asset=asset_json(asset, path),
         sheet=None,

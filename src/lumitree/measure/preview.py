@@ -15,18 +15,15 @@ from lumitree.core.arguments import (
     check_image_settings,
     check_sheet_output,
 )
-from lumitree.core.backend import load_rgb
-from lumitree.core.directions import pose_towards
+from lumitree.core.backend import in_turn, load_rgb
 from lumitree.core.files import FilePath, write_bytes
-from lumitree.core.image_settings import image_settings
-from lumitree.core.images import auto_exposure, max_radiance, tonemap
+from lumitree.core.frames import pose_towards
+from lumitree.core.images import auto_exposure, image_settings, max_radiance, tonemap
 from lumitree.core.photometry import Flux, MissedFlux, luminance
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.progress import progress as progress_bar
-from lumitree.core.results import ImageResult
+from lumitree.core.results import ImageResult, Stopwatch
 from lumitree.core.seeds import Purpose, SeedStream
-from lumitree.core.stopwatch import Stopwatch
-from lumitree.core.turns import in_turn
 from lumitree.errors import LumitreeError
 from lumitree.lamp.diagnosis import warn_of_faults
 from lumitree.lamp.scene_shapes import SceneShape
@@ -124,7 +121,7 @@ def preview(
     sheet: FilePath | None = None,
     *,
     resolution: int = 256,
-    samples_per_pixel: int = 64,
+    spp: int = 64,
     bounces: bool = False,
     variant: str | None = None,
     progress: ProgressCallback | None = show_progress,
@@ -132,7 +129,7 @@ def preview(
     """Render six views of a luminaire or of an asset, and measure its flux and size.
 
     The contact sheet shows the lamp in soft light, its own radiance at two exposures, and both
-    opacities, from six sides. Warns of glass that Mitsuba cannot render correctly. Of an asset the
+    opacities, from six sides. Warns of glass that Mitsuba cannot render correctly. For an asset the
     sheet shows what images show of it, its geometry, its field or else its light field, and one
     opacity.
 
@@ -142,7 +139,7 @@ def preview(
             dataset.
         sheet: path of the PNG file to write. Default: no file is written.
         resolution: pixels per side of each view, 1 to 16,384.
-        samples_per_pixel: paths per pixel, 1 to 1,048,576. It does not apply to an asset without
+        spp: paths per pixel, 1 to 1,048,576. It does not apply to an asset without
             geometry, whose pixels have 16 rays.
         bounces: whether to measure the share of the flux that paths of at most 32, 64 and 128
             bounces miss. Not for an asset.
@@ -159,13 +156,13 @@ def preview(
     """
     if sheet is not None:
         check_sheet_output(sheet)
-    check_image_settings(resolution=resolution, spp=samples_per_pixel)
+    check_image_settings(resolution=resolution, spp=spp)
     mi = load_rgb(variant)
     if (asset := asset_of(luminaire)) is not None:
         if bounces:
             raise LumitreeError("an asset has no paths to count the bounces of; leave bounces out")
         with reporting(progress):
-            return _preview_asset(asset, sheet, resolution, samples_per_pixel)
+            return _preview_asset(asset, sheet, resolution, spp)
     from lumitree.lamp.luminaire import load_luminaire
     from lumitree.trace.flux import estimate_flux, missed_by_depth
 
@@ -176,7 +173,7 @@ def preview(
         with watch.stage("diagnose"):
             faults = warn_of_faults(lamp)
         with watch.stage("views"):
-            views = take_preview(lamp, resolution, samples_per_pixel)
+            views = take_preview(lamp, resolution, spp)
         with watch.stage("flux"):
             flux = estimate_flux(lamp, FLUX_PATHS)
         missed = None
@@ -204,7 +201,7 @@ def preview(
         "preview",
         luminaire=lamp.name,
         resolution=resolution,
-        samples_per_pixel=samples_per_pixel,
+        spp=spp,
         exposure=views.exposure,
         variant=mi.variant(),
     )
@@ -215,13 +212,13 @@ def preview(
 
 
 def _preview_asset(
-    asset: Asset, sheet: FilePath | None, resolution: int, samples_per_pixel: int
+    asset: Asset, sheet: FilePath | None, resolution: int, spp: int
 ) -> AssetPreviewResult:
     from lumitree.rendering.asset_flux import asset_watts
 
     watch = Stopwatch()
     with watch.stage("views"):
-        views = take_asset_preview(asset, resolution, samples_per_pixel)
+        views = take_asset_preview(asset, resolution, spp)
     with watch.stage("flux"):
         watts = asset_watts(asset)
     lumens, size = float(luminance(watts)), asset.frame.size
@@ -235,7 +232,7 @@ def _preview_asset(
         "preview",
         asset=asset.luminaire,
         resolution=resolution,
-        samples_per_pixel=None if asset.geometry is None else samples_per_pixel,
+        spp=None if asset.geometry is None else spp,
         exposure=views.exposure,
     )
     png = draw_preview(views, asset.luminaire, facts, baked=True).png(settings)

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
-from lumitree.core.dataset import Dataset, Frame, OpacityKind
 from lumitree.core.frames import LocalFrame
 from lumitree.core.progress import progress
 from lumitree.errors import LumitreeError, shown
+from lumitree.lamp.dataset import Dataset, Frame, OpacityKind
 from lumitree.measure.figures import MAX_ROWS, SheetRow
 from lumitree.measure.metrics import (
     flux_error,
@@ -65,7 +65,7 @@ def evaluate_views(asset: Asset, dataset: Dataset) -> Evaluation:
     if asset.num_leaves or asset.geometry is None:
         return compare_views(lambda frame: baked_view(asset, manifest, frame), dataset)
     camera = geometry_camera(asset, manifest.half_width, manifest.resolution)
-    samples = manifest.samples_per_pixel
+    samples = manifest.spp
     return compare_views(
         lambda frame: camera.take(frame.pose, samples, frame.halton_index, "view"),
         dataset,

@@ -35,7 +35,7 @@ def shown_images(
     poses: Sequence[NDArray[np.float64]],
     half_width: float,
     resolution: int,
-    samples_per_pixel: int,
+    spp: int,
 ) -> list[Images]:
     """Orthographic images of an asset.
 
@@ -43,7 +43,7 @@ def shown_images(
         poses: [4, 4] `local_from_camera` of cameras, which look along their -z.
         half_width: half the side of the images, local units.
         resolution: pixels per side.
-        samples_per_pixel: paths per pixel, where the geometry is shown. The others have 16 rays.
+        spp: paths per pixel, where the geometry is shown. The others have 16 rays.
 
     Returns:
         For each pose radiance [H, W, 3], W/(m² sr), and opacity [H, W]: where the geometry is
@@ -52,9 +52,7 @@ def shown_images(
     name = f"preview {asset.luminaire}"
     if asset.geometry is not None:
         camera = geometry_camera(asset, half_width, resolution)
-        return [
-            camera.take(pose, samples_per_pixel, index, name) for index, pose in enumerate(poses)
-        ]
+        return [camera.take(pose, spp, index, name) for index, pose in enumerate(poses)]
     images = []
     with progress(name, len(poses)) as advance:
         for pose in poses:
@@ -110,9 +108,7 @@ class LampCamera:
         transforms_as_parameters(self.scene.shapes())
         self._integrator = integrator
 
-    def take(
-        self, pose: NDArray[np.float64], samples_per_pixel: int, index: int, name: str
-    ) -> Images:
+    def take(self, pose: NDArray[np.float64], spp: int, index: int, name: str) -> Images:
         """Radiance and opacity of a view, as `shown_images`; `index` makes its random numbers."""
         # Mitsuba's cameras look along +z, with x to the left.
         axes = np.diag([-self._half_width, self._half_width, -1, 1])
@@ -121,7 +117,7 @@ class LampCamera:
         parameters.update()
         # A root seed has 31 bits.
         seed = SeedStream(Purpose.PREVIEW, index).seed(_ROOT_SEED) >> 1
-        budget = Budget(samples_per_pixel)
+        budget = Budget(spp)
         channels = render_passes(
             self.scene, self._integrator, budget, seed=seed, name=name
         ).channels

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
-from lumitree.core.dataset import Frame, Manifest
+from lumitree.lamp.dataset import Frame, Manifest
 from lumitree.rendering.device import DeviceAsset
 
 # Rays per pixel and side: 4 x 4 rays, stratified, with the box filter that capture uses.

@@ -49,22 +49,22 @@ class Budget:
     """When a render stops: at the first limit that is reached.
 
     Attributes:
-        samples_per_pixel: number of samples, or None.
+        spp: number of samples, or None.
         seconds: time of rendering, s, or None. One pass is always completed.
         noise: relative noise as `Rendering.noise`, or None. Eight passes are always completed.
     """
 
-    samples_per_pixel: int | None = None
+    spp: int | None = None
     seconds: float | None = None
     noise: float | None = None
 
     def __post_init__(self) -> None:
-        if self.samples_per_pixel is not None and self.samples_per_pixel < 1:
-            raise LumitreeError(f"spp is {self.samples_per_pixel}; expected at least 1")
+        if self.spp is not None and self.spp < 1:
+            raise LumitreeError(f"spp is {self.spp}; expected at least 1")
 
     def share(self, samples: int, seconds: float, noise: float | None) -> float:
         """Part of the budget that is spent, 0 to 1."""
-        shares = [samples / (self.samples_per_pixel or MAX_SAMPLES)]
+        shares = [samples / (self.spp or MAX_SAMPLES)]
         if self.seconds is not None:
             shares.append(seconds / self.seconds)
         if self.noise is not None and noise is not None:
@@ -80,7 +80,7 @@ class Rendering:
     Attributes:
         channels: float32 [H, W, C], linear radiance of R, G and B, W/(m² sr), then alpha if the
             film has it, and then the further channels of the integrator.
-        samples_per_pixel: samples per pixel.
+        spp: samples per pixel.
         noise: relative standard error of the radiance of a pixel, averaged over R, G and B: the
             root mean square in each block of 16 x 16 pixels, relative to the block's mean radiance;
             averaged over the blocks, of which those darker than the median of the blocks with light
@@ -89,7 +89,7 @@ class Rendering:
     """
 
     channels: NDArray[np.float32]
-    samples_per_pixel: int
+    spp: int
     noise: float | None
     seconds: float
 
@@ -259,7 +259,7 @@ class _Plan:
 
     def __init__(self, budget: Budget, pixels: int, seed: int) -> None:
         self._seed, self._time = seed, budget.seconds
-        self.limit = budget.samples_per_pixel or MAX_SAMPLES
+        self.limit = budget.spp or MAX_SAMPLES
         batch = _SAMPLES_PER_PASS[dr.backend_v(mi.Float)] // pixels
         if (budget.seconds, budget.noise) != (None, None):
             batch = min(batch, _MAX_SAMPLES_PER_PIXEL, self.limit // _MIN_PASSES)

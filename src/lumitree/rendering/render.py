@@ -12,17 +12,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.arguments import check_image_settings, check_items, check_range
-from lumitree.core.backend import load_mitsuba
+from lumitree.core.arguments import check_image_settings, check_items, check_range, metres_of
+from lumitree.core.backend import in_turn, load_mitsuba
 from lumitree.core.executor import check_executor
 from lumitree.core.files import FilePath, WorkFolder
-from lumitree.core.image_settings import image_settings
-from lumitree.core.images import check_exr_name, encode_png, write_exr
+from lumitree.core.images import check_exr_name, encode_png, image_settings, write_exr
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
+from lumitree.core.results import Stopwatch
 from lumitree.core.seeds import check_seed
-from lumitree.core.stopwatch import Stopwatch
-from lumitree.core.turns import in_turn
-from lumitree.core.units import metres_of
 from lumitree.core.view_transform import View, check_view, displayed, room_exposure
 from lumitree.errors import LumitreeError, explained
 from lumitree.rendering.placement import Placement
@@ -53,7 +50,7 @@ class RenderResult(SavedImage):
         exposure: factor on the radiance before the view transform of `png`. By default the
             log-average luminance of the image is then 0.15 of white's.
         resolution: width and height in pixels.
-        samples_per_pixel: samples per pixel.
+        spp: samples per pixel.
         mean_radiance: mean over pixels and channels, W/(m² sr).
         noise: estimated standard error of a pixel before denoising, relative to the mean radiance
             around it, averaged over the image: neither the lamp itself nor what is nearly black
@@ -70,7 +67,7 @@ class RenderResult(SavedImage):
     """
 
     resolution: tuple[int, int]
-    samples_per_pixel: int
+    spp: int
     mean_radiance: float
     noise: float | None = None
     layers: dict[str, NDArray[np.float32]] = dataclasses.field(default_factory=dict, repr=False)
@@ -120,7 +117,7 @@ def render(
     scene: "FilePath | Mapping[str, Any] | Any",
     placements: Sequence[Placement] = (),
     *,
-    samples_per_pixel: int | None = None,
+    spp: int | None = None,
     time: float | None = None,
     noise: float | None = None,
     denoise: bool = False,
@@ -142,7 +139,7 @@ def render(
     The integrator `path` of the scene is replaced by `lumitree_path`, or by `volpath` if there are
     heterogeneous media. Warns of objects in a baked luminaire that are not lit there.
 
-    The image is finished when the first of `samples_per_pixel`, `time` and `noise` is reached.
+    The image is finished when the first of `spp`, `time` and `noise` is reached.
 
     Args:
         scene: what to render, with a camera: the path of a Mitsuba 3 scene (`.xml`), a dictionary
@@ -150,7 +147,7 @@ def render(
             integrator `path` of a `mitsuba.Scene` cannot be changed: it is refused with a `width`,
             and with `denoise` if its reconstruction filter is no box.
         placements: the luminaires, baked or explicit, with position, size and rotation.
-        samples_per_pixel: samples per pixel, 1 to 1,048,576. Default: 64, or no limit if there is
+        spp: samples per pixel, 1 to 1,048,576. Default: 64, or no limit if there is
             a `time` or a `noise`.
         time: time of rendering, s, 0.001 to 10⁷, with compilation; one pass of at most 16 samples
             per pixel is always completed.
@@ -195,9 +192,9 @@ def render(
             needs is not installed; a worker is lost; or the scene cannot be sent to the workers of
             `executor`, such as a `mitsuba.Scene`.
     """
-    if (samples_per_pixel, time, noise) == (None, None, None):
-        samples_per_pixel = _SAMPLES_PER_PIXEL
-    _check(samples_per_pixel, time, noise, width)
+    if (spp, time, noise) == (None, None, None):
+        spp = _SAMPLES_PER_PIXEL
+    _check(spp, time, noise, width)
     check_items("placements", placements, Placement)
     check_seed(seed)
     check_view(view, exposure)
@@ -224,7 +221,7 @@ def render(
             scene=Path(scene).name if isinstance(scene, str | os.PathLike) else None,
             lamps=dict(zip(names[1:], map(_described, placements), strict=True)),
             integrator=type(job.integrator).__name__,
-            samples_per_pixel=rendering.samples_per_pixel,
+            spp=rendering.spp,
             time=time,
             noise=rendering.noise,
             denoise=filtered,
@@ -239,7 +236,7 @@ def render(
             settings=settings,
             exposure=factor,
             resolution=(pixels.shape[1], pixels.shape[0]),
-            samples_per_pixel=rendering.samples_per_pixel,
+            spp=rendering.spp,
             noise=rendering.noise,
             mean_radiance=float(pixels.mean()),
             camera=job.camera,
@@ -259,7 +256,7 @@ def render(
             renderer = None if executor is None else renderer_of(executor, described)
             job = RenderJob(described)
         with watch.stage("render"), contextlib.ExitStack() as stack:
-            budget = Budget(samples_per_pixel, time, noise)
+            budget = Budget(spp, time, noise)
             shown, saved = None if so_far is None else show, None
             if work is not None:
                 identity = job.identity(seed)
@@ -273,10 +270,8 @@ def render(
     return result(rendering, pixels, denoise, **_parts(recorded, noisy, names if layers else ()))
 
 
-def _check(
-    samples_per_pixel: int | None, time: float | None, noise: float | None, width: int | None
-) -> None:
-    sizes = {"spp": samples_per_pixel, "width": width}
+def _check(spp: int | None, time: float | None, noise: float | None, width: int | None) -> None:
+    sizes = {"spp": spp, "width": width}
     check_image_settings(**{name: value for name, value in sizes.items() if value is not None})
     if time is not None:
         check_range("time", time, 1e-3, 1e7)

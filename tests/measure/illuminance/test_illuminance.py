@@ -171,7 +171,7 @@ def test_a_floor_has_the_illuminance_that_its_image_shows(mi):
     }
     integrator = {"type": "path", "max_depth": -1}
     scene = room(mi, walls=walls, camera=camera, integrator=integrator)
-    image = lumitree.render(scene, [placed()], samples_per_pixel=1 << 14)
+    image = lumitree.render(scene, [placed()], spp=1 << 14)
     shown = luminance(image.pixels[0, 0]) * np.pi / 0.5
     result = lumitree.illuminance(scene, [placed()], error=0.004, **at([0.9, -3, 0.5]))
     # 2¹⁴ samples of a relative variance of about one.

@@ -10,8 +10,13 @@ import pytest
 import lumitree
 from lumitree.asset.asset import EmittedSpectrum
 from lumitree.cli import main
-from lumitree.core.photometry import WAVELENGTHS, blackbody_spectrum, srgb_from_xyz, xyz_of_spectrum
-from lumitree.core.spectrum import sampled_spectrum
+from lumitree.core.photometry import (
+    WAVELENGTHS,
+    blackbody_spectrum,
+    sampled_spectrum,
+    srgb_from_xyz,
+    xyz_of_spectrum,
+)
 from lumitree.measure.photometry.colour import colour_figures, rendering_indices
 from support.lamps import AREA, GLASS, scene, sphere
 from support.tiny_bakes import LIGHT_FIELD
@@ -113,7 +118,7 @@ def spectrum_file(path, spectrum):
 def test_a_lamp_its_asset_and_their_reports(folder, illuminants, capsys):
     emitter = spectrum_file(folder / "fl2.spd", illuminants["FL2"])
     (folder / "lamp.xml").write_text(scene(sphere("ball", 0.5, inside=emitter)))
-    config = lumitree.BakeConfig(irradiance_paths=0, light_field=LIGHT_FIELD)
+    config = lumitree.BakeConfig(irradiance_paths=0, light=LIGHT_FIELD)
     result = lumitree.bake("lamp.xml", "lamp.lumitree", config)
     assert result.asset.spectrum.share == 1
     reports = [

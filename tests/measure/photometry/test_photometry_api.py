@@ -149,7 +149,7 @@ def test_a_file_that_states_no_colour_has_none(folder):
     assert (file.colour_temperature, file.duv) == (None, None)
     assert "not known" in (folder / "b.html").read_text(encoding="utf-8")
     # Nor has the asset of it.
-    asset = lumitree.bake_photometric("a.ies").asset
+    asset = lumitree.bake("a.ies").asset
     assert lumitree.photometry(asset, step=10, paths=PATHS).colour_temperature is None
 
 

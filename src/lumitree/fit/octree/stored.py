@@ -10,15 +10,14 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.dataset import Dataset, View
 from lumitree.core.device import on_device
-from lumitree.core.directions import orthographic_rays
+from lumitree.core.frames import orthographic_rays
 from lumitree.core.seeds import Purpose, SeedStream
-from lumitree.core.visual_hull import visual_hull
 from lumitree.errors import LumitreeError
 from lumitree.fit.octree.config import TILE_RAYS, TILE_SIDE
 from lumitree.fit.octree.estimate import inside_box
 from lumitree.fit.octree.rays import RayPairs, Rays, Subject, Wanted
+from lumitree.lamp.dataset import Dataset, View, visual_hull
 
 
 class StoredRays:
@@ -47,7 +46,7 @@ class StoredRays:
     def subject(self) -> Subject:
         """The luminaire that the views show; another capture of it is another subject."""
         of = self._manifest
-        captured = [of.fingerprint, of.split, of.resolution, of.samples_per_pixel, of.path_depth]
+        captured = [of.fingerprint, of.split, of.resolution, of.spp, of.path_depth]
         captured += [[frame.file, frame.halton_index] for frame in of.frames]
         fingerprint = hashlib.sha256(json.dumps(captured).encode()).hexdigest()
         return Subject(of.luminaire, fingerprint, of.local_frame)

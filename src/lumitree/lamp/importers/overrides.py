@@ -9,11 +9,12 @@ import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
 from lumitree.asset.materials import CONDUCTORS
+from lumitree.core.arguments import UNITS
 from lumitree.core.frames import similarity
 from lumitree.core.photometry import (
     MAX_TEMPERATURE,
@@ -29,10 +30,8 @@ from lumitree.core.toml_table import (
     is_number,
     number,
     read_toml,
-    shown_value,
     text,
 )
-from lumitree.core.units import UNITS
 from lumitree.errors import LumitreeError, LumitreeWarning, shown, shown_names
 from lumitree.lamp.importers.topology import count_solids
 from lumitree.lamp.meshes import Floats, Mesh, area_normals, join
@@ -53,6 +52,11 @@ from lumitree.lamp.parts import (
     select_names,
     transmits,
 )
+
+_T = TypeVar("_T")
+_MAX_EMISSION = 1e9
+# Points at which the opacity of a mesh is looked up, about.
+_POINTS = 1 << 18
 
 
 @dataclasses.dataclass(frozen=True)
@@ -114,15 +118,18 @@ def apply_overrides(model: Geometry, overrides: Overrides) -> Geometry:
             )
         changes |= dict.fromkeys(titles, change)
     model = _in_metres(model, overrides)
-    own = [(each, changes.get(each.title, MaterialOverride())) for each in model.materials]
-    materials = tuple(_resurfaced(model, each, change) for each, change in own)
-    # A flux is emitted by what is present of the surfaces as they are now.
-    model = dataclasses.replace(model, materials=materials)
-    materials = tuple(
-        _lit(model, each, change, overrides.file)
-        for each, (_, change) in zip(materials, own, strict=True)
-    )
-    return dataclasses.replace(model, materials=materials)
+    materials = [
+        _resurfaced(model, each, changes[each.title]) if each.title in changes else each
+        for each in model.materials
+    ]
+    # A flux is emitted by the surfaces as they are now, where they are present.
+    model = dataclasses.replace(model, materials=tuple(materials))
+    for at, each in enumerate(materials):
+        change = changes.get(each.title)
+        if change is not None and change.emission is not None:
+            radiance = _radiance(model, each.title, change.emission, overrides.file)
+            materials[at] = dataclasses.replace(each, radiance=radiance)
+    return dataclasses.replace(model, materials=tuple(materials))
 
 
 def sided_materials(model: Geometry, overrides: Overrides) -> set[str]:
@@ -151,10 +158,10 @@ def select_parts(model: Geometry, keep: Sequence[str], drop: Sequence[str], file
     copies = [(part, at) for part in model.parts for at in range(len(part.places))]
     names = []
     for part, at in copies:
-        own = [part.objects[at]] if part.objects else []
+        choices = [part.objects[at]] if part.objects else []
         # Also the name of a part of an object of another name.
-        own += [] if part.name in objects else [part.name]
-        names.append(tuple(dict.fromkeys([*own, model.material(part).title, part.material])))
+        choices += [] if part.name in objects else [part.name]
+        names.append(tuple(dict.fromkeys([*choices, model.material(part).title, part.material])))
     chosen = select_names(names, keep, drop, file, "part or material")
     kept: dict[str, list[int]] = {}
     for (part, at), wanted in zip(copies, chosen, strict=True):
@@ -242,21 +249,14 @@ def _in_metres(model: Geometry, overrides: Overrides) -> Geometry:
     if scale == 1 and overrides.up == "y":
         return model
     upright = np.eye(3) if overrides.up == "y" else np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
-    matrix = np.eye(4)
-    matrix[:3, :3] = scale * upright
-    return Geometry(
-        tuple(_moved(part, matrix, scale) for part in model.parts),
-        tuple(_rescaled(material, scale) for material in model.materials),
-    )
-
-
-def _moved(part: Part, matrix: Floats, scale: float) -> Part:
-    """The part in a model that a similarity of this scale has changed."""
-    places = [matrix @ place for place in part.places]
-    if part.in_metres:
-        own = similarity(np.eye(3), 1 / scale, np.zeros(3))
-        places = [place @ own for place in places]
-    return dataclasses.replace(part, places=tuple(places))
+    matrix = similarity(upright, scale, np.zeros(3))
+    unscaled = similarity(np.eye(3), 1 / scale, np.zeros(3))
+    parts = []
+    for part in model.parts:
+        mesh = unscaled if part.in_metres else np.eye(4)
+        places = tuple(matrix @ place @ mesh for place in part.places)
+        parts.append(dataclasses.replace(part, places=places))
+    return Geometry(tuple(parts), tuple(_rescaled(each, scale) for each in model.materials))
 
 
 def _rescaled(material: Material, scale: float) -> Material:
@@ -264,16 +264,13 @@ def _rescaled(material: Material, scale: float) -> Material:
     glass = material.surface
     if not isinstance(glass, Glass) or glass.medium is None:
         return material
-    medium = dataclasses.replace(
-        glass.medium,
-        absorption=_divided(glass.medium.absorption, scale),
-        scattering=_divided(glass.medium.scattering, scale),
-    )
+
+    def divided(colour: RGB) -> RGB:
+        return (colour[0] / scale, colour[1] / scale, colour[2] / scale)
+
+    medium = glass.medium
+    medium = Medium(divided(medium.absorption), divided(medium.scattering), medium.anisotropy)
     return dataclasses.replace(material, surface=dataclasses.replace(glass, medium=medium))
-
-
-def _divided(colour: RGB, divisor: float) -> RGB:
-    return (colour[0] / divisor, colour[1] / divisor, colour[2] / divisor)
 
 
 def _resurfaced(model: Geometry, material: Material, change: MaterialOverride) -> Material:
@@ -289,13 +286,6 @@ def _resurfaced(model: Geometry, material: Material, change: MaterialOverride) -
     if change.opacity is not None:
         material = dataclasses.replace(material, opacity=change.opacity)
     return material
-
-
-def _lit(model: Geometry, material: Material, change: MaterialOverride, file: str) -> Material:
-    if change.emission is None:
-        return material
-    radiance = _radiance(model, material.title, change.emission, file)
-    return dataclasses.replace(material, radiance=radiance)
 
 
 def _settled(model: Geometry, title: str, change: MaterialOverride) -> Surface:
@@ -353,61 +343,45 @@ def _radiance(model: Geometry, title: str, emission: Emission, file: str) -> RGB
     return radiance_from_flux(emission.lumens, area, emission.colour)
 
 
-_MAX_EMISSION = 1e9
-# Points at which the opacity of a mesh is looked up, about.
-_POINTS = 1 << 18
-
-
 def read_overrides(path: Path) -> Overrides:
     """Read a TOML file of overrides."""
     top = read_toml(path, "a TOML file of overrides")
     materials = top.take("material", dictionary("[material.NAME] tables")) or {}
+    named = Table(path, "material", materials)
     result = Overrides(
         file=str(path),
         metres_per_unit=top.take("units", _units) or 1.0,
         up=top.take("up", _up) or "y",
         variant=top.take("variant", text),
         materials={
-            name: _material(Table(path, shown(f"material.{name}"), _as_table(path, name, value)))
-            for name, value in materials.items()
+            name: change
+            for name in materials
+            if (change := _whole(named, name, _material)) is not None
         },
     )
     top.finish()
     return result
 
 
-def _as_table(path: Path, name: str, value: Any) -> dict[str, Any]:
-    if not isinstance(value, dict):
-        raise LumitreeError(
-            f"{shown(path, 300)}: material.{shown(name)} is {shown_value(value)}; expected a table"
-        )
-    return value
+def _whole(table: Table, key: str, read: Callable[[Table], _T]) -> _T | None:
+    """The result of reading a table within another; its unknown keys are refused."""
+    inner = table.table(key)
+    if inner is None:
+        return None
+    result = read(inner)
+    inner.finish()
+    return result
 
 
 def _material(table: Table) -> MaterialOverride:
-    readers = {
-        "glass": _glass,
-        "metal": _metal,
-        "diffuse": _diffuse,
-        "principled": _principled,
-    }
-    surfaces: list[tuple[Surface, bool]] = []
-    for key, read in readers.items():
-        own = table.table(key)
-        if own is not None:
-            surfaces.append(read(own))
-            own.finish()
+    readers = {"glass": _glass, "metal": _metal, "diffuse": _diffuse, "principled": _principled}
+    found = (_whole(table, key, read) for key, read in readers.items())
+    surfaces = [each for each in found if each is not None]
     if len(surfaces) > 1:
         table.fail(f"{table.name} has {len(surfaces)} surfaces; expected one")
-    light = table.table("emitter")
-    emission = None
-    if light is not None:
-        emission = _emission(light)
-        light.finish()
-    opacity = table.take("opacity", number(0.0, 1.0))
-    table.finish()
     surface, guess_thin = surfaces[0] if surfaces else (None, False)
-    return MaterialOverride(surface, guess_thin, emission, opacity)
+    emission = _whole(table, "emitter", _emission)
+    return MaterialOverride(surface, guess_thin, emission, table.take("opacity", number(0.0, 1.0)))
 
 
 def _glass(table: Table) -> tuple[Surface, bool]:
@@ -436,14 +410,12 @@ def _glass(table: Table) -> tuple[Surface, bool]:
 
 
 def _metal(table: Table) -> tuple[Surface, bool]:
-    return (
-        Metal(
-            tint=table.take("tint", _rgb(1.0)) or WHITE,
-            roughness=_or(table.take("roughness", number(0.0, 1.0)), 0.0),
-            conductor=table.take("conductor", _conductor) or "none",
-        ),
-        False,
+    metal = Metal(
+        tint=table.take("tint", _rgb(1.0)) or WHITE,
+        roughness=table.take("roughness", number(0.0, 1.0)) or 0.0,
+        conductor=table.take("conductor", _conductor) or "none",
     )
+    return metal, False
 
 
 def _diffuse(table: Table) -> tuple[Surface, bool]:
@@ -452,19 +424,17 @@ def _diffuse(table: Table) -> tuple[Surface, bool]:
 
 def _principled(table: Table) -> tuple[Surface, bool]:
     share = number(0.0, 1.0)
-    return (
-        Principled(
-            base_color=table.take("base_color", _rgb(1.0)) or (0.5, 0.5, 0.5),
-            metallic=_or(table.take("metallic", share), 0.0),
-            roughness=_or(table.take("roughness", share), 0.5),
-            ior=table.take("ior", number(1.0, 4.0, open_low=True)) or 1.5,
-            clearcoat=_or(table.take("clearcoat", share), 0.0),
-            transmission=_or(table.take("transmission", share), 0.0),
-            diffuse_transmission=_or(table.take("diffuse_transmission", number(0.0, 2.0)), 0.0),
-            thin=bool(table.take("thin", boolean)),
-        ),
-        False,
+    surface = Principled(
+        base_color=table.take("base_color", _rgb(1.0)) or (0.5, 0.5, 0.5),
+        metallic=table.take("metallic", share) or 0.0,
+        roughness=_or(table.take("roughness", share), 0.5),
+        ior=table.take("ior", number(1.0, 4.0, open_low=True)) or 1.5,
+        clearcoat=table.take("clearcoat", share) or 0.0,
+        transmission=table.take("transmission", share) or 0.0,
+        diffuse_transmission=table.take("diffuse_transmission", number(0.0, 2.0)) or 0.0,
+        thin=bool(table.take("thin", boolean)),
     )
+    return surface, False
 
 
 def _emission(table: Table) -> Emission:

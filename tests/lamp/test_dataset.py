@@ -6,10 +6,9 @@ import json
 import numpy as np
 import pytest
 
-from lumitree.core.dataset import MANIFEST, Dataset, Frame, Manifest
-from lumitree.core.directions import view_pose
-from lumitree.core.frames import LocalFrame
+from lumitree.core.frames import LocalFrame, view_pose
 from lumitree.errors import LumitreeError
+from lumitree.lamp.dataset import MANIFEST, Dataset, Frame, Manifest
 
 
 def rows(matrix):
@@ -24,7 +23,7 @@ def manifest():
         fingerprint="0" * 64,
         split="train",
         resolution=16,
-        samples_per_pixel=4,
+        spp=4,
         path_depth=128,
         half_width=1.5,
         local_frame=LocalFrame((1.0, 0.5, 1e-3), np.diag([2, 2, 2, 1])),
