@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lumitree.core.seeds import Purpose, SeedStream
-from lumitree.measure.illuminance.light import emitter_light, receivers
+from lumitree.measure.illuminance_estimate import emitter_light, receivers
 from lumitree.rendering.emitter import lamp_of, lamps_of
 from lumitree.rendering.integrator import DEFAULT_RR_DEPTH, PathScene, PathState, trace_paths
 from lumitree.rendering.proxies import DividedScene

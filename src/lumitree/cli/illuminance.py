@@ -102,8 +102,8 @@ def _add_areas(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> Any:
     import lumitree
-    from lumitree.measure.illuminance.areas import read_points
-    from lumitree.measure.illuminance.illuminance import check_illuminance_output
+    from lumitree.measure.illuminance import check_illuminance_output
+    from lumitree.measure.receivers import read_points
 
     for path in args.output:
         check_illuminance_output(path)

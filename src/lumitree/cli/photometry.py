@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> Any:
 
 
 def show(args: argparse.Namespace, result: Any) -> None:
-    from lumitree.measure.photometry.tables import figure_rows
+    from lumitree.measure.photometric_figures import figure_rows
 
     rows = figure_rows(result, result.size, result.step, result.rays, result.ugr)
     details = {name.replace("_", " "): text for name, text in result.details.items()}
@@ -94,7 +94,7 @@ def _print_near_field(result: Any) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from lumitree.measure.photometry.tables import NEAR_FIELD_HEADER, near_field_rows
+    from lumitree.measure.photometric_figures import NEAR_FIELD_HEADER, near_field_rows
 
     table = Table(title="far field, intensity / distance², within 5 %")
     for heading in NEAR_FIELD_HEADER:

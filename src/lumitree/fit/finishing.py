@@ -14,7 +14,7 @@ from lumitree.core.results import Stopwatch
 from lumitree.errors import LumitreeError, shown
 from lumitree.fit.field_light import with_field_light
 from lumitree.fit.result import BakeResult
-from lumitree.measure.irradiance_check import measure_irradiance
+from lumitree.measure.irradiance import measure_irradiance
 
 if TYPE_CHECKING:
     from lumitree.lamp.luminaire import Luminaire

@@ -15,7 +15,7 @@ from lumitree.formats.ldt import read_ldt, write_ldt
 from lumitree.formats.opening import Opening
 from lumitree.formats.tm33 import read_tm33
 from lumitree.formats.type_c import IntensityDistribution, direction_of
-from lumitree.measure.photometry.exact_light import (
+from lumitree.measure.far_field import (
     ExactLight,
     exact_grid,
     file_light,

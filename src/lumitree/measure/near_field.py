@@ -153,7 +153,7 @@ class NearFieldTest:
             return None, False
         outside = np.flatnonzero(np.abs(difference) > TOLERANCE)
         last = int(outside[-1]) if len(outside) else -1
-        # Of the spheres between which the difference becomes small.
+        # The errors at the two spheres between which the difference becomes small.
         if (error[max(last, 0) : last + 2] > MAX_ERROR).any():
             return None, False
         if last < 0:

@@ -1,6 +1,8 @@
-"""Illuminance of a scene with luminaires placed in it."""
+"""Illuminance of planes, surfaces and points of a scene with luminaires placed in it."""
 
+import csv
 import dataclasses
+import io
 import math
 import warnings
 from collections.abc import Mapping, Sequence
@@ -17,16 +19,27 @@ from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.results import Result, Stopwatch, plain
 from lumitree.core.seeds import check_seed
 from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown, shown_names
-from lumitree.measure.illuminance.areas import Plane, Receivers, Surface, chosen_shapes, collect
-from lumitree.measure.illuminance.figures import AreaFigures
+from lumitree.measure.receivers import (
+    AreaFigures,
+    Plane,
+    Receivers,
+    Surface,
+    chosen_shapes,
+    collect,
+)
 from lumitree.rendering.placement import Placement
 
 if TYPE_CHECKING:
-    from lumitree.measure.illuminance.plan import Plan
+    from lumitree.measure.figures import Plan
     from lumitree.rendering.integrator import PathScene
     from lumitree.rendering.scene import PlacedLuminaire
 
 OUTPUTS = (".csv", ".json", ".png", ".pdf")
+# Columns of a table of receivers.
+_COLUMNS = (
+    *("area", "x", "y", "z", "nx", "ny", "nz"),
+    *("direct_lx", "direct_error_lx", "total_lx", "total_error_lx"),
+)
 
 
 @dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
@@ -65,8 +78,6 @@ class IlluminanceResult(Result):
         Raises:
             LumitreeError: the name has another ending, or the file cannot be written.
         """
-        from lumitree.measure.illuminance.plan import plan_pdf, plan_png
-
         check_illuminance_output(path)
         kind = Path(path).suffix.lower()
         if kind == ".json":
@@ -74,30 +85,25 @@ class IlluminanceResult(Result):
         elif kind == ".csv":
             write_bytes(path, self._csv())
         else:
+            from lumitree.measure.figures import plan_pdf, plan_png
+
             write = plan_png if kind == ".png" else plan_pdf
             write_bytes(path, write(self._plans(), self.direct_only))
 
     def table(self) -> list[dict[str, Any]]:
         """A dictionary for each receiver, as the files have it."""
         names = [area.name for area in self.areas for _ in range(area.count)]
-        numbers = np.column_stack(
-            [
-                *(self.position, self.normal),
-                *(self.direct, self.direct_error, self.total, self.total_error),
-            ]
-        )
+        light = (self.direct, self.direct_error, self.total, self.total_error)
+        numbers = np.column_stack([self.position, self.normal, *light]).tolist()
         return [
-            dict(zip(("area", *_COLUMNS), (name, *row), strict=True))
-            for name, row in zip(names, numbers.tolist(), strict=True)
+            dict(zip(_COLUMNS, (name, *row), strict=True))
+            for name, row in zip(names, numbers, strict=True)
         ]
 
     def _csv(self) -> bytes:
-        import csv
-        import io
-
         stream = io.StringIO(newline="")
         writer = csv.writer(stream)
-        writer.writerow(("area", *_COLUMNS))
+        writer.writerow(_COLUMNS)
         for row in self.table():
             name, *numbers = row.values()
             # Empty inside solids.
@@ -106,24 +112,18 @@ class IlluminanceResult(Result):
         return stream.getvalue().encode()
 
     def _repr_png_(self) -> bytes:
-        from lumitree.measure.illuminance.plan import plan_png
+        from lumitree.measure.figures import plan_png
 
         return plan_png(self._plans(), self.direct_only)
 
     def _plans(self) -> "list[Plan]":
-        from lumitree.measure.illuminance.plan import Plan
+        from lumitree.measure.figures import Plan
 
         arrays = (self.total, self.total_error, self.direct)
         return [
             Plan(area, receivers, *(each[area.part] for each in arrays))
             for area, receivers in zip(self.areas, self.receivers, strict=True)
         ]
-
-
-_COLUMNS = (
-    *("x", "y", "z", "nx", "ny", "nz"),
-    *("direct_lx", "direct_error_lx", "total_lx", "total_error_lx"),
-)
 
 
 @in_turn
@@ -145,9 +145,9 @@ def illuminance(
 ) -> IlluminanceResult:
     """Illuminance of planes, surfaces and points of a scene, with standard errors.
 
-    All lights of the scene count, with reflections of any number. Direct light from
-    the light fields of baked luminaires is summed, and only its shadows are sampled. Straight light
-    of luminaires with geometry is sampled, with shadow rays to their emitters.
+    All lights of the scene count, with reflections of any number. Direct light from the light
+    fields of baked luminaires is summed, and only its shadows are sampled. Straight light of
+    luminaires with geometry is sampled, with shadow rays to their emitters.
 
     Args:
         scene: as for `render`, but it needs no camera, and its integrator does not count. It may
@@ -160,7 +160,7 @@ def illuminance(
         error: standard error of the total at each point that is enough, relative to the illuminance
             there or, if this is more, to a tenth of the mean of all points; 0.0001 to 1.
         time: after which no more light is sampled, s, 0.001 to 10⁷; default: no limit.
-        direct_only: whether to leave out reflected light.
+        direct_only: whether to omit reflected light.
         unit: unit of length of the scene: "m", "cm", "mm", "in", "ft", or the metres in a unit. It
             counts for `Placement.lumens` and for photometric files, which state metres; the
             illuminance of all other lamps follows from radiance.
@@ -169,7 +169,7 @@ def illuminance(
         progress: function that is called with a `Progress` after each pass; see `bake`.
 
     Returns:
-        Illuminance of all receivers, those of planes first, then surfaces and points.
+        Illuminance of all receivers: first of planes, then of surfaces and points.
 
     Raises:
         LumitreeError: an argument is out of range; there is no receiver, or no emitter; or the
@@ -194,48 +194,49 @@ def illuminance(
     check_seed(seed)
     metres = metres_of(unit)
     load_rgb(variant)
-    from lumitree.measure.illuminance.estimate import estimate
+    from lumitree.measure.illuminance_estimate import estimate
     from lumitree.rendering.scene import load_room, open_placements, place_luminaires, scene_title
 
     watch = Stopwatch()
     with reporting(progress):
         with watch.stage("load"):
+            title = scene_title(scene)
             room, shapes = load_room(scene)
-            chosen = [chosen_shapes(each, room, shapes, scene_title(scene)) for each in surfaces]
+            chosen = [chosen_shapes(each, room, shapes, title) for each in surfaces]
             areas = collect(planes, surfaces, chosen, points, normals, seed)
             placed = open_placements(placements, metres)
             _warn_of_glass(placed)
             whole = place_luminaires(room, placed, appearance="geometry")
-            place = np.concatenate([area.points for area in areas])
+            position = np.concatenate([area.points for area in areas])
             normal = np.concatenate([area.normals for area in areas])
-            _light_boxes(whole, place)
-            paths = _paths(whole, scene_title(scene))
+            _light_boxes(whole, position)
+            paths = _paths(whole, title)
         with watch.stage("estimate"):
             found = estimate(
                 paths,
-                place,
+                position,
                 normal,
                 error=error,
                 seconds=time,
                 reflected=not direct_only,
                 seed=seed,
             )
-    figures = [
-        AreaFigures.of(area.name, each.start, found.total[each], found.total_error[each])
-        for area, each in zip(areas, _parts(areas), strict=True)
-    ]
-    for area in figures:
-        if area.enclosed == area.count:
+    figures, first = [], 0
+    for area in areas:
+        part = slice(first, first + len(area.points))
+        figures.append(AreaFigures.of(area.name, first, found.total[part], found.total_error[part]))
+        first = part.stop
+        if figures[-1].enclosed == figures[-1].count:
             warnings.warn(
                 f"all points of {shown(area.name, 200)} are inside solids, or outside of the room; "
-                "look at its place, and at the unit of the scene",
+                "look at its position, and at the unit of the scene",
                 LumitreeWarning,
                 stacklevel=2,
             )
     return IlluminanceResult(
         areas=figures,
         direct_only=direct_only,
-        position=place,
+        position=position,
         normal=normal / np.linalg.norm(normal, axis=1)[:, None],
         receivers=areas,
         **{field.name: getattr(found, field.name) for field in dataclasses.fields(found)},
@@ -252,7 +253,7 @@ def check_illuminance_output(path: FilePath) -> None:
 
 
 def _warn_of_glass(placed: "Sequence[PlacedLuminaire]") -> None:
-    """Warn of explicit lamps with glass, whose light is found by chance."""
+    """Warn of explicit lamps with glass, whose light is found by rare paths."""
     for each in placed:
         file = None if each.luminaire is None else each.luminaire.file
         names = [] if file is None else [node.props.plugin_name() for node in file.nodes("BSDF")]
@@ -275,29 +276,29 @@ def _paths(scene: Any, title: str) -> "PathScene":
     if any_heterogeneous(scene):
         raise LumitreeError(
             f"{title} has a heterogeneous medium, whose light is not estimated; make it "
-            "homogeneous, or leave it out"
+            "homogeneous, or remove it"
         )
     if not scene.emitters():
         raise LumitreeError(f"{title} has no light; place a lamp or add an emitter")
-    # Their light is not sampled. The models of lamps have none of their own.
+    # Their light would not be sampled. The geometry of baked lamps is not in question.
     shapes = {shape.emitter(): shape for shape in scene.shapes() if shape.is_emitter()}
-    left_out = [
+    unsampled = [
         shapes[each].id() or f"a {shapes[each].class_name().lower()}"
         if each in shapes
         else each.id() or each.class_name()
         for each in scene.emitters()
         if each.sampling_weight() <= 0 and not isinstance(each, GeometryEmitter)
     ]
-    if left_out:
+    if unsampled:
         raise LumitreeError(
             f"{title} has emitters with the sampling_weight 0, whose light would be missing "
-            f"({shown_names(left_out)}); give them a larger one"
+            f"({shown_names(unsampled)}); give them a larger one"
         )
     return PathScene(scene, DividedScene().of(scene), media(scene))
 
 
 def _light_boxes(scene: Any, points: NDArray[np.float64]) -> None:
-    """Let the lamps in whose boxes there are points light what is inside."""
+    """Let lamps light the inside of their boxes if there are points in them."""
     from lumitree.rendering.emitter import lamps_of
 
     for lamp in lamps_of(scene.emitters()).values():
@@ -305,9 +306,3 @@ def _light_boxes(scene: Any, points: NDArray[np.float64]) -> None:
         local = points @ box[:3, :3].T + box[:3, 3]
         if (np.abs(local) <= 1.01).all(axis=1).any():
             lamp.light_inside()
-
-
-def _parts(areas: Sequence[Receivers]) -> list[slice]:
-    """Which of all receivers are on each area."""
-    ends = np.cumsum([len(area.points) for area in areas]).tolist()
-    return [slice(end - len(area.points), end) for area, end in zip(areas, ends, strict=True)]

@@ -13,9 +13,9 @@ from lumitree.formats.ies import read_ies
 from lumitree.formats.ldt import ldt_of, read_ldt
 from lumitree.formats.opening import Opening, opening_around
 from lumitree.formats.type_c import Grid, IntensityDistribution
-from lumitree.measure.photometry.ugr import CATALOGUE_ROOM
+from lumitree.measure.photometric_figures import CATALOGUE_ROOM
 
-DATA = Path(os.environ.get("LUMITREE_DATA", Path(__file__).parents[3].parent / "shared" / "data"))
+DATA = Path(os.environ.get("LUMITREE_DATA", Path(__file__).parents[2].parent / "shared" / "data"))
 # A ball of 806 lm on a foot: its radius and height, and the diameter of the foot, m.
 LUMENS, RADIUS, HEIGHT, FOOT = 806.0, 0.03, 0.8, 0.2
 BLACK = (

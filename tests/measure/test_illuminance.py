@@ -1,6 +1,7 @@
 """Illuminance: closed forms, and against images and other estimators."""
 
 import dataclasses
+import functools
 import json
 
 import numpy as np
@@ -16,10 +17,12 @@ from support.light_fields import random_light_field
 
 BOX = np.array([1.0, 0.6, 0.8])
 BLACK = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0}}
+WHITE = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 1}}
 # So small an error that the stop does not depend on it: a number of passes is made.
 EVERYTHING = 1.0
 
 
+@functools.cache
 def lamp():
     """An asset whose light is different in all directions."""
     frame = LocalFrame(BOX, np.eye(4))
@@ -36,13 +39,17 @@ def at(*points, normal=(0, 1, 0)):
     return {"points": np.array(points, float), "normals": normal}
 
 
+def rgb(kind, name, value):
+    return {"type": kind, name: {"type": "rgb", "value": value}}
+
+
+def point_light(position, intensity):
+    return {**rgb("point", "intensity", intensity), "position": position}
+
+
 def test_a_point_light_follows_the_inverse_square_and_the_cosine(mi):
     intensity = np.array([3.0, 2.0, 1.0])
-    light = {
-        "type": "point",
-        "position": [0, 2, 0],
-        "intensity": {"type": "rgb", "value": intensity},
-    }
+    light = point_light([0, 2, 0], intensity)
     points = np.array([[0, 0, 0], [1, 0, 0.5], [-2, 0.5, 0]])
     result = lumitree.illuminance(room(mi, light=light), **at(*points))
     offset = [0, 2, 0] - points
@@ -55,18 +62,10 @@ def test_a_point_light_follows_the_inverse_square_and_the_cosine(mi):
 
 def furnace(mi, reflectance, radiance=2.0):
     """A closed sphere that emits and reflects."""
-    grey = {"type": "diffuse", "reflectance": {"type": "rgb", "value": reflectance}}
-    glow = {"type": "area", "radiance": {"type": "rgb", "value": radiance}}
-    return {
-        "type": "scene",
-        "wall": {
-            "type": "sphere",
-            "radius": 3,
-            "flip_normals": True,
-            "bsdf": grey,
-            "emitter": glow,
-        },
-    }
+    wall = {"type": "sphere", "radius": 3, "flip_normals": True}
+    wall["bsdf"] = rgb("diffuse", "reflectance", reflectance)
+    wall["emitter"] = rgb("area", "radiance", radiance)
+    return {"type": "scene", "wall": wall}
 
 
 def test_reflections_of_a_closed_sphere_are_a_geometric_series(mi):
@@ -110,7 +109,7 @@ def test_a_lamp_is_summed_as_paths_receive_it(mi):
     assert np.array_equal(result.direct, result.total)
 
 
-def test_what_shadows_a_lamp_is_sampled(mi):
+def test_shadows_of_a_lamp_are_sampled(mi):
     """Points in full light, in half shadow and in full shadow of a plate."""
     plate = {
         "type": "rectangle",
@@ -128,15 +127,24 @@ def test_what_shadows_a_lamp_is_sampled(mi):
     assert result.direct[2] == result.direct[3] == 0
 
 
-def test_a_full_shadow_is_black_where_all_samples_are_equal(mi):
-    """Of a lamp of one cell, even in all directions."""
-    frame = LocalFrame(np.ones(3), np.eye(4))
+@functools.cache
+def even_asset():
     field = make_light_field(np.zeros((1, 3), int), np.ones((1, 64, 3)), 2)
-    even = lumitree.Placement(light_field_asset(field, frame, "even"), at=(0, 40, 0), size=0.2)
+    return light_field_asset(field, LocalFrame(np.ones(3), np.eye(4)), "even")
+
+
+def even(lumens, at):
+    """A lamp of one cell, even in all directions."""
+    return lumitree.Placement(even_asset(), at=at, size=0.2, lumens=lumens)
+
+
+def test_a_full_shadow_is_black_where_all_samples_are_equal(mi):
     plate = {"type": "rectangle", "to_world": mi.ScalarTransform4f().translate([0, 20, 0]).scale(9)}
     plate["to_world"] = plate["to_world"] @ mi.ScalarTransform4f().rotate([1, 0, 0], 90)
-    points = np.array([[0, 0, 0], [0, 25, 0]])
-    result = lumitree.illuminance(room(mi, plate=plate), [even], direct_only=True, **at(*points))
+    result = lumitree.illuminance(
+        room(mi, plate=plate), [even(100, (0, 40, 0))], direct_only=True,
+        **at([0, 0, 0], [0, 25, 0]),
+    )  # fmt: skip
     assert result.direct[0] == 0
     assert result.direct[1] > 0
 
@@ -159,7 +167,7 @@ def test_errors_are_those_of_repetitions(mi):
 
 def test_a_floor_has_the_illuminance_that_its_image_shows(mi):
     """A grey floor's radiance is ρ E / π, reflections of the other walls included."""
-    grey = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.5}}
+    grey = rgb("diffuse", "reflectance", 0.5)
     walls = {"type": "cube", "to_world": mi.ScalarTransform4f().scale(3), "bsdf": grey}
     walls["flip_normals"] = True
     film = {"type": "hdrfilm", "width": 1, "height": 1, "rfilter": {"type": "box"}}
@@ -189,37 +197,28 @@ def test_receivers_inside_the_box_get_its_light(mi):
     assert (np.abs(result.direct - expected) < 4 * np.hypot(error, result.direct_error)).all()
 
 
-def test_lumens_are_those_of_the_scene_in_its_unit(mi):
-    """A scene in centimetres: the same picture with all lengths a hundred times as large."""
-    one = lumitree.illuminance(room(mi), [placed(lumens=800)], direct_only=True, **at(*POINTS))
-    large = dataclasses.replace(placed(lumens=800), at=(0, 200, 0), size=30)
+@pytest.mark.parametrize(("unit", "factor", "lumens"), [("cm", 100, 800), ("mm", 1000, 1e5)])
+def test_lumens_of_a_lamp_in_a_scene_in_another_unit(mi, unit, factor, lumens):
+    """The same image with all lengths so many times as large."""
+    one = lumitree.illuminance(room(mi), [placed(lumens=lumens)], direct_only=True, **at(*POINTS))
+    large = dataclasses.replace(placed(lumens=lumens), at=(0, 2 * factor, 0), size=0.3 * factor)
     other = lumitree.illuminance(
-        room(mi), [large], direct_only=True, unit="cm", **at(*(100 * POINTS))
+        room(mi), [large], direct_only=True, unit=unit, **at(*(factor * POINTS))
     )
     allowed = 4 * np.hypot(one.direct_error, other.direct_error)
     assert (np.abs(other.direct - one.direct) < allowed).all()
     assert (allowed < 0.1 * one.direct.max()).all()
 
 
-def test_a_bright_lamp_in_a_scene_in_millimetres(mi):
-    bright = dataclasses.replace(placed(lumens=1e5), at=(0, 2000, 0), size=300)
-    found = lumitree.illuminance(
-        room(mi), [bright], direct_only=True, unit="mm", **at(*(1000 * POINTS))
-    )
-    expected = lumitree.illuminance(room(mi), [placed(lumens=1e5)], direct_only=True, **at(*POINTS))
-    allowed = 4 * np.hypot(found.direct_error, expected.direct_error)
-    assert (np.abs(found.direct - expected.direct) < allowed).all()
-
-
-@pytest.mark.parametrize("length", [1e-30, 1e30])
-def test_normals_may_have_any_length(mi, length):
-    one, other = (
+def test_normals_may_have_any_length(mi):
+    one, *others = (
         lumitree.illuminance(room(mi), [placed()], direct_only=True, **at(*POINTS, normal=normal))
-        for normal in ((0, 1, 0), (0, length, 0))
+        for normal in ((0, 1, 0), (0, 1e-30, 0), (0, 1e30, 0))
     )
-    np.testing.assert_array_equal(other.normal, one.normal)
-    assert other.direct == pytest.approx(one.direct)
     assert one.direct.max() > 0
+    for other in others:
+        np.testing.assert_array_equal(other.normal, one.normal)
+        assert other.direct == pytest.approx(one.direct)
 
 
 def test_equal_seeds_give_equal_results_and_others_do_not(mi):
@@ -301,19 +300,6 @@ def test_surfaces_of_shapes_without_ids(mi, tmp_path, pattern, heights, count):
     assert set(result.position[:, 2].round(5)) == heights
 
 
-def test_shapes_that_are_no_surfaces(mi, tmp_path):
-    path = tmp_path / "room.xml"
-    path.write_text(ROOM)
-    match = (
-        r"room\.xml: --surface 'chair' matches no shape's id, BSDF's id or number; there are "
-        r"#0 - \(rectangle, BSDF wood\), #1 - \(disk, BSDF wood\), #2 lamp \(sphere, emits\), "
-    )
-    with pytest.raises(lumitree.LumitreeError, match=match):
-        lumitree.illuminance(path, surfaces=[lumitree.Surface("chair")])
-    with pytest.raises(lumitree.LumitreeError, match=r"#3 .* is an instance, over which no points"):
-        lumitree.illuminance(path, surfaces=[lumitree.Surface("#3")])
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -329,9 +315,31 @@ def test_shapes_that_are_no_surfaces(mi, tmp_path):
         ({**at([0, 0, 0]), "unit": "furlong"}, "unit is 'furlong'"),
     ],
 )
-def test_wrong_arguments_are_told_in_one_line(mi, arguments, message):
+def test_wrong_arguments_are_refused(mi, arguments, message):
     with pytest.raises(lumitree.LumitreeError, match=message):
         lumitree.illuminance(furnace(mi, 0), **arguments)
+
+
+UNSAMPLED = {"type": "sphere", "emitter": {"type": "area", "sampling_weight": 0.0}}
+
+
+@pytest.mark.parametrize(
+    ("things", "arguments", "message"),
+    [
+        ({}, at([0, 0, 0]), "has no light"),
+        ({"ball": UNSAMPLED, "sky": {"type": "constant"}}, at([0, -2, 0]), "sampling_weight 0"),
+        ({}, {"surfaces": [lumitree.Surface("chair")]}, "'chair' matches no shape"),
+    ],
+)
+def test_scenes_without_light_or_surfaces_are_refused(mi, things, arguments, message):
+    with pytest.raises(lumitree.LumitreeError, match=message):
+        lumitree.illuminance(room(mi, **things), **arguments)
+
+
+def test_no_points_are_spread_over_an_instance(mi, tmp_path):
+    (tmp_path / "room.xml").write_text(ROOM)
+    with pytest.raises(lumitree.LumitreeError, match=r"#3 .* is an instance"):
+        lumitree.illuminance(tmp_path / "room.xml", surfaces=[lumitree.Surface("#3")])
 
 
 def test_points_inside_solids_do_not_count(mi, tmp_path):
@@ -380,51 +388,38 @@ def test_dark_points_of_a_room_whose_walls_face_outwards_count(mi, direct_only):
     assert np.flatnonzero(result.direct > 0).tolist() == [3]
 
 
-def test_light_by_rare_paths_is_not_taken_for_darkness(mi):
+RADIUS, DISTANCE, RADIANCE = 0.1, 2.0, 5.0
+THROUGH_GLASS = np.pi * LUMENS_PER_WATT * RADIANCE * (RADIUS / DISTANCE) ** 2
+
+
+def glow_in_glass(count):
     """A white ball that glows in a ball of glass: one path in 200 finds it. No light is lost."""
-    radius, distance, radiance = 0.1, 2.0, 5.0
-    white = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 1}}
-    glow = {"type": "area", "radiance": {"type": "rgb", "value": radiance}}
-    scene = room(
-        mi,
-        ball={"type": "sphere", "radius": radius, "bsdf": white, "emitter": glow},
-        glass={"type": "sphere", "radius": 0.5, "bsdf": {"type": "dielectric", "int_ior": 1.5}},
-    )
-    turns = np.linspace(0, 2 * np.pi, 24, endpoint=False)
-    points = distance * np.stack([np.cos(turns), 0 * turns, np.sin(turns)], axis=1)
-    result = lumitree.illuminance(scene, error=0.1, points=points, normals=-points)
-    expected = np.pi * LUMENS_PER_WATT * radiance * (radius / distance) ** 2
+    ball = {"type": "sphere", "radius": RADIUS, "bsdf": WHITE}
+    ball["emitter"] = rgb("area", "radiance", RADIANCE)
+    glass = {"type": "sphere", "radius": 0.5, "bsdf": {"type": "dielectric", "int_ior": 1.5}}
+    turns = np.linspace(0, 2 * np.pi, count, endpoint=False)
+    points = DISTANCE * np.stack([np.cos(turns), 0 * turns, np.sin(turns)], axis=1)
+    return {"ball": ball, "glass": glass}, {"points": points, "normals": -points}
+
+
+def test_light_by_rare_paths_is_not_taken_for_darkness(mi):
+    things, where = glow_in_glass(24)
+    result = lumitree.illuminance(room(mi, **things), error=0.1, **where)
     assert (result.total > 0).all()
-    assert (np.abs(result.total - expected) < 4.5 * result.total_error).all()
-    assert result.total.mean() == pytest.approx(expected, rel=0.1)
-    assert (result.total_error < 0.2 * expected).all()
-
-
-def even(lumens, at):
-    """A lamp of one cell, even in all directions."""
-    field = make_light_field(np.zeros((1, 3), int), np.ones((1, 64, 3)), 2)
-    asset = light_field_asset(field, LocalFrame(np.ones(3), np.eye(4)), "even")
-    return lumitree.Placement(asset, at=at, size=0.2, lumens=lumens)
+    assert (np.abs(result.total - THROUGH_GLASS) < 4.5 * result.total_error).all()
+    assert result.total.mean() == pytest.approx(THROUGH_GLASS, rel=0.1)
+    assert (result.total_error < 0.2 * THROUGH_GLASS).all()
 
 
 def test_light_by_rare_paths_is_found_beside_a_lamp(mi):
     """Whose light is the same in all samples, so that only the rare ones differ."""
-    radius, distance, radiance = 0.1, 2.0, 5.0
-    glow = {"type": "area", "radiance": {"type": "rgb", "value": radiance}}
-    white = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 1}}
-    things = {
-        "ball": {"type": "sphere", "radius": radius, "bsdf": white, "emitter": glow},
-        "glass": {"type": "sphere", "radius": 0.5, "bsdf": {"type": "dielectric", "int_ior": 1.5}},
-    }
-    turns = np.linspace(0, 2 * np.pi, 100, endpoint=False)
-    points = distance * np.stack([np.cos(turns), 0 * turns, np.sin(turns)], axis=1)
-    lamps, where = [even(4000, (0, 4, 0))], {"points": points, "normals": -points}
+    things, where = glow_in_glass(100)
+    lamps = [even(4000, (0, 4, 0))]
     steady = lumitree.illuminance(room(mi), lamps, direct_only=True, **where).direct
     result = lumitree.illuminance(room(mi, **things), lamps, error=0.1, **where)
-    expected = np.pi * LUMENS_PER_WATT * radiance * (radius / distance) ** 2
     found = result.total - steady
-    assert found.mean() == pytest.approx(expected, rel=0.05)
-    assert (np.abs(found - expected) < 6 * result.total_error).all()
+    assert found.mean() == pytest.approx(THROUGH_GLASS, rel=0.05)
+    assert (np.abs(found - THROUGH_GLASS) < 6 * result.total_error).all()
     assert (result.total_error < 0.11 * result.total).all()
 
 
@@ -438,7 +433,7 @@ def test_the_shadow_of_one_lamp_among_many_is_found(mi, count):
         "to_world": mi.ScalarTransform4f().translate([0, 1.5, 0]).rotate([1, 0, 0], 90).scale(0.15),
         "bsdf": {"type": "twosided", "bsdf": BLACK},
     }
-    x, z = np.random.default_rng(1).uniform(-0.04, 0.04, (2, 200))
+    x, z = np.random.default_rng(1).uniform(-0.04, 0.04, (2, 60))
     where = at(*np.stack([x, 0 * x, z], axis=1))
     free = lumitree.illuminance(room(mi), lamps, direct_only=True, **where).direct
     (middle,) = (lamp for lamp in lamps if lamp.at == (0, 3, 0))
@@ -446,17 +441,17 @@ def test_the_shadow_of_one_lamp_among_many_is_found(mi, count):
     result = lumitree.illuminance(room(mi, plate=plate), lamps, direct_only=True, **where)
     assert (np.abs(result.direct - shadowed) < 5 * result.direct_error).all()
     assert (result.direct_error < 0.021 * result.direct).all()
-    assert result.direct.mean() == pytest.approx(shadowed.mean(), rel=0.005)
+    assert result.direct.mean() == pytest.approx(shadowed.mean(), rel=0.008)
 
 
 def test_errors_of_sums_over_lamps_are_not_small_by_chance(mi):
     """At each of many points: sums stop where their error is small enough."""
     lamps = [
         lumitree.Placement(lamp(), at=(2.0 * x, 2.5, 2.0 * z), size=1.0)
-        for x in (-1, 0, 1)
-        for z in (-1, 0, 1)
+        for x in (-0.5, 0.5)
+        for z in (-0.5, 0.5)
     ]
-    x, z = np.random.default_rng(2).uniform(-3, 3, (2, 400))
+    x, z = np.random.default_rng(2).uniform(-3, 3, (2, 150))
     where = at(*np.stack([x, 0 * x, z], axis=1))
 
     def found(error, seed):
@@ -465,7 +460,7 @@ def test_errors_of_sums_over_lamps_are_not_small_by_chance(mi):
         )
 
     # Nothing shadows the lamps, so that the sums are all that varies.
-    exact = found(0.002, 5)
+    exact = found(0.003, 5)
     scores = []
     for seed in range(3):
         result = found(0.01, seed)
@@ -489,54 +484,32 @@ def test_errors_of_points_by_a_lamp_are_not_those_of_points_in_its_box(mi):
     assert (result.direct_error[:10] > 0).all()
 
 
-def test_emitters_that_are_not_sampled_are_refused(mi):
-    ball = {"type": "sphere", "id": "ball", "emitter": {"type": "area", "sampling_weight": 0.0}}
-    things = {"ball": ball, "light": {"type": "point", "position": [0, 1, 0]}}
-    with pytest.raises(lumitree.LumitreeError, match="emitters with the sampling_weight 0"):
-        lumitree.illuminance(room(mi, **things), [even(100, (0, 3, 0))], **at([0, -2, 0]))
-
-
 def test_light_beyond_all_numbers_ends(mi):
-    light = {"type": "point", "position": [0, 1, 0]}
-    light["intensity"] = {"type": "rgb", "value": 3e38}
+    light = point_light([0, 1, 0], 3e38)
     # Its radiance is infinite.
-    white = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 1}}
-    wall = {"type": "sphere", "center": [0, 1.4, 0], "radius": 0.3, "bsdf": white}
+    wall = {"type": "sphere", "center": [0, 1.4, 0], "radius": 0.3, "bsdf": WHITE}
     with np.errstate(invalid="ignore"):
         result = lumitree.illuminance(room(mi, light=light, wall=wall), **at([0, 0, 0], [2, 0, 0]))
     assert not np.isfinite(result.total_error[0])
 
 
-def test_explicit_lamps_of_glass_are_told(mi, tmp_path):
+def test_explicit_lamps_of_glass_are_warned_of(mi, tmp_path):
     lamp = lamp_of(tmp_path, sphere("glass", 0.2, inside=GLASS), sphere("glow", 0.1, inside=AREA))
     hung = lumitree.Placement(lamp, at=(0, 2, 0))
     with pytest.warns(lumitree.LumitreeWarning, match="placed as explicit geometry with glass"):
         lumitree.illuminance(room(mi), [hung], error=EVERYTHING, time=1.0, **at([0, 0, 0]))
 
 
-def test_a_scene_without_light_is_refused(mi):
-    with pytest.raises(lumitree.LumitreeError, match="has no light"):
-        lumitree.illuminance(room(mi), **at([0, 0, 0]))
-
-
 def test_receivers_in_a_medium_get_what_it_lets_through(mi):
     """Beer's law in a block of a medium that absorbs; a plate of clear glass is no border of it."""
     extinction = np.array([0.4, 0.6, 0.9])
-    medium = {
-        "type": "homogeneous",
-        "albedo": 0.0,
-        "sigma_t": {"type": "rgb", "value": extinction},
-    }
+    medium = {**rgb("homogeneous", "sigma_t", extinction), "albedo": 0.0}
     fog = {"type": "cube", "bsdf": {"type": "null"}, "interior": medium}
     fog["to_world"] = mi.ScalarTransform4f().scale(5)
     pane = {"type": "rectangle", "bsdf": {"type": "null"}}
     pane["to_world"] = mi.ScalarTransform4f().translate([0, 1, 0]).rotate([1, 0, 0], 90)
     intensity = np.array([3.0, 2.0, 1.0])
-    light = {
-        "type": "point",
-        "position": [0, 2, 0],
-        "intensity": {"type": "rgb", "value": intensity},
-    }
+    light = point_light([0, 2, 0], intensity)
     things = {"fog": fog, "pane": pane, "light": light}
     result = lumitree.illuminance(room(mi, **things), **at([0, 0, 0], [0, 1.5, 0]))
     distance = np.array([2, 0.5])
@@ -567,7 +540,7 @@ def test_a_lamp_with_points_in_its_box_does_not_change_another_one(mi):
     up = mi.ScalarTransform4f().translate([3, 0.9 - half * (1 - 1e-4), 0]).rotate([1, 0, 0], -90)
     table = {"type": "rectangle", "to_world": up.scale(0.3)}
     points = [[0.02, 0.9, 0.03], *([3 + x, 0.9 + half, 0.6] for x in (-0.3, 0, 0.3))]
-    first, other = lamp(), lamp()
+    first, other = lamp(), lamp.__wrapped__()
     found = [
         lumitree.illuminance(
             room(mi, table=table),

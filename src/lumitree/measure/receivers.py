@@ -1,4 +1,7 @@
-"""Where illuminance is wanted: planes, surfaces of the scene, and points."""
+"""Receivers of illuminance: points with normals on planes and surfaces of a scene, or given.
+
+`AreaFigures` are the figures of the illuminance of an area of receivers.
+"""
 
 from __future__ import annotations
 
@@ -33,12 +36,12 @@ _MAX_LENGTH = 1e9
 
 @dataclasses.dataclass(frozen=True)
 class Plane:
-    """A rectangle, at whose grid of points illuminance is wanted.
+    """A rectangle with a grid of points, whose illuminance is estimated.
 
     The plane has the axes u and v: seen with the normal towards the viewer, u points to the right
-    and v up. u is the axis x of the scene, laid into the plane; if the normal is that of x, it is
-    y. So a floor with y up is seen with x to the right and -z up. The rectangle is divided into
-    equal cells, about `spacing` wide, and the points are their centres.
+    and v up. u is the projection of the scene's axis x; if x is the normal, it is y. So a floor
+    with y up is seen with x to the right and -z up. The rectangle is divided into equal cells,
+    about `spacing` wide, and the points are their centres.
 
     Attributes:
         centre: [3] of the rectangle, scene units.
@@ -59,9 +62,12 @@ class Plane:
     name: str | None = None
 
     def __post_init__(self) -> None:
-        _check_vector("centre", self.centre, 3)
-        _check_vector("normal", self.normal, 3)
-        _check_vector("extent", self.extent, 2)
+        for name, value, count in (
+            ("centre", self.centre, 3),
+            ("normal", self.normal, 3),
+            ("extent", self.extent, 2),
+        ):
+            _check_vector(name, value, count)
         check_range("spacing", self.spacing, 1 / _MAX_LENGTH, _MAX_LENGTH)
         if not np.linalg.norm(self.normal) > 0:
             raise LumitreeError("the normal of a plane is 0; expected a direction")
@@ -91,7 +97,7 @@ class Plane:
 
 @dataclasses.dataclass(frozen=True)
 class Surface:
-    """A shape of the scene, on which illuminance is wanted, on the side of its normals.
+    """A shape of the scene, whose illuminance is estimated on the side of its normals.
 
     Attributes:
         shape: its id in the scene, the id of its BSDF, or its number such as "#3", from 0 in the
@@ -126,14 +132,14 @@ class Surface:
         # An additive recurrence covers the unit square evenly (Roberts 2018).
         golden = 1.32471795724474602596
         start = np.random.default_rng(SeedStream(Purpose.ILLUMINANCE, draw=2).seed(seed)).random(2)
-        places, normals = [], []
+        points, normals = [], []
         for shape, count in zip(shapes, counts, strict=True):
             sample = (start + np.arange(1, count + 1)[:, None] / golden ** np.array([1, 2])) % 1
             at = shape.sample_position(0, on_device(mi.Point2f, sample))
-            # The one normal of a flat shape comes once.
-            for found, each in ((places, at.p), (normals, at.n)):
-                found.append(np.broadcast_to(np.array(each, np.float64).T, (count, 3)))
-        return np.concatenate(places), np.concatenate(normals)
+            # A flat shape returns a single normal.
+            for rows, each in ((points, at.p), (normals, at.n)):
+                rows.append(np.broadcast_to(np.array(each, np.float64).T, (count, 3)))
+        return np.concatenate(points), np.concatenate(normals)
 
 
 def chosen_shapes(
@@ -174,13 +180,59 @@ class Receivers:
 
     @property
     def axes(self) -> NDArray[np.float64]:
-        """Axes u and v [2, 3] of their plane, or of the plane across the mean normal."""
+        """Axes u and v [2, 3] of their plane, or of the plane normal to the mean normal."""
         return (_axes(self.normals.mean(axis=0)) if self.plane is None else self.plane.axes)[:2]
 
     def flat(self) -> NDArray[np.float64]:
-        """Places [N, 2] along u and v, from the centre of the plane or from the mean point."""
+        """Coordinates [N, 2] along u and v, from the centre of the plane or from the mean point."""
         centre = self.points.mean(axis=0) if self.plane is None else np.asarray(self.plane.centre)
         return (self.points - centre) @ self.axes.T
+
+
+@dataclasses.dataclass(frozen=True)
+class AreaFigures:
+    """Figures of the illuminance of an area, by EN 12464-1.
+
+    Attributes:
+        name: of the area.
+        first, count: which of the receivers are on it.
+        enclosed: how many of them are inside solids, and do not count.
+        mean, smallest, largest: of the illuminance, lx; NaN if all are inside solids.
+        mean_error: standard error of the mean, lx, for independent errors of the receivers.
+        uniformity: U₀, smallest over mean; NaN where all is dark.
+        diversity: U_d, smallest over largest; NaN where all is dark.
+    """
+
+    name: str
+    first: int
+    count: int
+    enclosed: int
+    mean: float
+    mean_error: float
+    smallest: float
+    largest: float
+    uniformity: float
+    diversity: float
+
+    @classmethod
+    def of(
+        cls, name: str, first: int, lux: NDArray[np.float64], error: NDArray[np.float64]
+    ) -> AreaFigures:
+        """Figures of an area from the illuminance [N] of its receivers and the standard errors."""
+        known = np.isfinite(lux)
+        count, enclosed = len(lux), int((~known).sum())
+        if enclosed == count:
+            return cls(name, first, count, enclosed, *[np.nan] * 6)
+        lux, error = lux[known], error[known]
+        mean, low, high = float(lux.mean()), float(lux.min()), float(lux.max())
+        mean_error = float(np.sqrt((error**2).sum())) / len(lux)
+        ratios = (low / mean, low / high) if mean > 0 else (np.nan, np.nan)
+        return cls(name, first, count, enclosed, mean, mean_error, low, high, *ratios)
+
+    @property
+    def part(self) -> slice:
+        """Which of the receivers are on the area."""
+        return slice(self.first, self.first + self.count)
 
 
 def collect(
@@ -191,10 +243,7 @@ def collect(
     normals: ArrayLike | None,
     seed: int,
 ) -> list[Receivers]:
-    """The receivers of a call of `illuminance`, whose arguments these are.
-
-    Args:
-        chosen: the shapes of each surface.
+    """The receivers of `illuminance`; arguments as there, `chosen` has the shapes of each surface.
 
     Raises:
         LumitreeError: there are none or too many, or points and normals do not match.
@@ -220,25 +269,26 @@ def collect(
 def _given(
     points: ArrayLike, normals: ArrayLike | None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Points and normals [N, 3] that are given as arrays."""
     if normals is None:
         raise LumitreeError("there are points but no normals; give both, or one normal for all")
     try:
-        place = np.asarray(points, np.float64).reshape(-1, 3)
-        normal = np.broadcast_to(np.asarray(normals, np.float64), place.shape)
+        position = np.asarray(points, np.float64).reshape(-1, 3)
+        normal = np.broadcast_to(np.asarray(normals, np.float64), position.shape)
     except (TypeError, ValueError):
         raise LumitreeError(
-            f"points and normals have the shapes {_shape(points)} and {_shape(normals)}; "
-            "expected [N, 3] both, or [3] for one normal"
+            "points and normals do not match, or are no numbers; expected [N, 3] both, or [3] for "
+            "one normal"
         ) from None
-    finite = np.isfinite(place).all() and np.isfinite(normal).all()
+    finite = np.isfinite(position).all() and np.isfinite(normal).all()
     largest = np.abs(normal).max(axis=1, keepdims=True)
-    if not len(place) or not finite or not (largest > 0).all():
+    if not len(position) or not finite or not (largest > 0).all():
         raise LumitreeError(
             "points or normals are missing, not finite or 0; expected [N, 3] finite numbers and "
             "normals of some length"
         )
     # So that squares in single precision are neither 0 nor infinite.
-    return place, normal / largest
+    return position, normal / largest
 
 
 def read_points(path: FilePath) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -250,46 +300,42 @@ def read_points(path: FilePath) -> tuple[NDArray[np.float64], NDArray[np.float64
         LumitreeError: the file cannot be read, lacks a column, or has a value that is no number.
     """
     name = shown(path, 300)
-    table, line = array.array("d"), 1
+
+    def lines(content: str) -> Iterator[str]:
+        for line in io.StringIO(content):
+            # A long line would become a list of as many cells.
+            if len(line) > _MAX_LINE:
+                raise csv.Error
+            yield line
+
+    table, number = array.array("d"), 1
     try:
         content = read_bytes(path, "a CSV file of points", _MAX_FILE_BYTES).decode("utf-8-sig")
-        for line, row in enumerate(csv.DictReader(_lines(content), skipinitialspace=True), 2):
-            if line == 2:
-                _check_columns(row, name)
+        rows = csv.DictReader(lines(content), skipinitialspace=True)
+        missing = [each for each in _COLUMNS if each not in (rows.fieldnames or ())]
+        if missing:
+            raise LumitreeError(
+                f"{name} lacks {', '.join(missing)}; expected a first line with the columns "
+                f"{', '.join(_COLUMNS)}, and a line for each point"
+            )
+        for number, row in enumerate(rows, 2):
             # Before memory is reserved for more.
-            _check_count(line - 1)
+            _check_count(number - 1)
             table.extend(float(row[each]) for each in _COLUMNS)
     except (UnicodeDecodeError, csv.Error) as error:
         raise LumitreeError(f"{name} is no CSV file ({type(error).__name__})") from None
     except (TypeError, ValueError):
         raise LumitreeError(
-            f"{name}, line {line}: expected six numbers for {', '.join(_COLUMNS)}"
+            f"{name}, line {number}: expected six numbers for {', '.join(_COLUMNS)}"
         ) from None
     if not table:
-        _check_columns({}, name)
+        raise LumitreeError(f"{name} has no points; expected a line for each")
     values = np.array(table).reshape(-1, len(_COLUMNS))
     return values[:, :3], values[:, 3:]
 
 
-def _lines(content: str) -> Iterator[str]:
-    """The lines of a text; a long one would become a list of as many cells."""
-    for line in io.StringIO(content):
-        if len(line) > _MAX_LINE:
-            raise csv.Error
-        yield line
-
-
-def _check_columns(row: dict[str, Any], name: str) -> None:
-    missing = [each for each in _COLUMNS if row.get(each) is None]
-    if missing:
-        raise LumitreeError(
-            f"{name} lacks {', '.join(missing)}; expected a first line with the columns "
-            f"{', '.join(_COLUMNS)}, and a line for each point"
-        )
-
-
 def _axes(normal: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Unit vectors [3, 3] of a plane, as `Plane` has them: u, v and the normal."""
+    """Unit vectors [3, 3] of a plane: u, v and the normal."""
     length = np.linalg.norm(normal)
     n = normal / length if length > 0 else np.array([0.0, 1.0, 0.0])
     along = np.array([1.0, 0, 0]) if abs(n[0]) < 0.999 else np.array([0, 1.0, 0])
@@ -312,10 +358,3 @@ def _check_count(count: int) -> None:
         raise LumitreeError(
             f"there are {count:,} points; expected at most {MAX_POINTS:,}: use a larger spacing"
         )
-
-
-def _shape(values: ArrayLike) -> str:
-    try:
-        return str(np.shape(values))
-    except ValueError:
-        return "of lists of unequal lengths"

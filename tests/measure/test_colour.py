@@ -17,7 +17,7 @@ from lumitree.core.photometry import (
     srgb_from_xyz,
     xyz_of_spectrum,
 )
-from lumitree.measure.photometry.colour import colour_figures, rendering_indices
+from lumitree.measure.photometric_figures import colour_figures, rendering_indices
 from support.lamps import AREA, GLASS, scene, sphere
 from support.tiny_bakes import LIGHT_FIELD
 

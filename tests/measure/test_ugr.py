@@ -7,7 +7,7 @@ import pytest
 
 from lumitree.formats.opening import Opening
 from lumitree.formats.type_c import Grid, IntensityDistribution
-from lumitree.measure.photometry.ugr import REFLECTANCES, ROOMS, ugr_table
+from lumitree.measure.photometric_figures import REFLECTANCES, ROOMS, ugr_table
 
 # Height of the luminaires above the eye, m, and their distance; side of the luminaire, m.
 HEIGHT, SPACING, SIDE = 2.0, 0.5, 0.3

@@ -3,7 +3,7 @@
 import dataclasses
 import os
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
 
@@ -18,17 +18,16 @@ from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.results import ImageResult, Stopwatch
 from lumitree.core.seeds import check_seed
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
-from lumitree.formats.symmetry import EDGE
-from lumitree.formats.type_c import MIN_STEP, Grid, IntensityDistribution
+from lumitree.formats.type_c import EDGE, MIN_STEP, Grid, IntensityDistribution
 from lumitree.lamp.source import RAY_SUFFIXES, WRITTEN_SUFFIXES, LuminaireSource, source_kind
-from lumitree.measure.photometry.figures import PhotometricFigures
-from lumitree.measure.photometry.near_field import NearFieldLimit
+from lumitree.measure.near_field import NearFieldLimit
+from lumitree.measure.photometric_figures import PhotometricData, PhotometricFigures, evaluated
 from lumitree.rendering.asset_cache import asset_of, refuse_frame
 
 if TYPE_CHECKING:
+    from lumitree.formats.tm25 import Rays
     from lumitree.lamp.luminaire import LuminaireLike
-    from lumitree.measure.photometry.far_field import Source
-    from lumitree.measure.photometry.figures import PhotometricData
+    from lumitree.measure.far_field import Source
 
 # Light paths of a measurement: 15 to 30 s on 2 CPU cores.
 PATHS = 1 << 22
@@ -58,8 +57,8 @@ class PhotometryResult(ImageResult, PhotometricFigures):
         c_angles, gamma_angles: [C] and [G] angles of the intensities, degrees.
         intensity, intensity_error: [C, G] luminous intensities and standard errors, cd.
         files: files that were written.
-        ugr: [19, 10] Unified Glare Ratings, see `measure.photometry.ugr.ugr_table`; NaN where there
-            is none. None if the optional dependency `ugr` is not installed.
+        ugr: [19, 10] Unified Glare Ratings, see `measure.photometric_figures.ugr_table`; NaN where
+            there is none. None if the optional dependency `ugr` is not installed.
     """
 
     luminaire: str
@@ -94,7 +93,7 @@ def photometry(
 
     The luminous intensity by direction, Type C, is estimated from light paths of a luminaire, or
     from rays of an asset. All figures have standard errors. Intensities and flux of an asset with a
-    light field are sums over its cells, without noise; those of a photometric file are its own.
+    light field are sums over its cells, without noise; a photometric file states its own.
 
     Args:
         source: an asset, the path of a `.lumitree` file, of a photometric file or of a ray file; or
@@ -104,10 +103,10 @@ def photometry(
             (report). Default: none.
         step: angular step of the intensities in C and gamma, degrees: 0.5 to 30, a divisor of 90.
             Default: the finest of 1, 2.5, 5 and 10 at which the noise of the intensities is at
-            most 2 % RMS. Of a traced light field the coarsest of 10, 5, 2.5, 1 and 0.5 that is at
-            most half of its bins of direction, 2.5 for those of `bake`; of a photometric file the
-            coarsest that has all of its angles, and of an asset made from one 1, or 0.5 where 1
-            does not resolve the intensities.
+            most 2 % RMS. For a traced light field the coarsest of 10, 5, 2.5, 1 and 0.5 that is at
+            most half of its bins of direction, 2.5 for an asset of `bake`; for a photometric file
+            the coarsest that has all of its angles, and for an asset made from one 1, or 0.5 where
+            1 does not resolve the intensities.
         unit: unit of length of the source: "m", "cm", "mm", "in", "ft", or the metres in a unit,
             1e-6 to 1e6. Models (`.obj`, `.gltf`, `.glb`) are in metres once they are loaded.
             Photometric files state their unit, and none may be given.
@@ -115,7 +114,7 @@ def photometry(
             are loaded.
         paths: number of light paths, or of rays of an asset, 16,384 to 2³²; rounded up to a
             multiple of 16.
-        file_rays: number of light paths whose rays a ray file gets, up to 16,777,216. Those that
+        file_rays: number of light paths whose rays a ray file gets, up to 16,777,216. Paths that
             end inside the luminaire are not in the file.
         seed: root seed of all random numbers, 0 to 2³¹ - 1.
         variant: Mitsuba variant; see `bake`.
@@ -140,17 +139,11 @@ def photometry(
     check_choice("up", up, ("y", "z"))
     metres = metres_of(unit)
     load_rgb(variant)
-    from lumitree.formats.ies_fields import SIMULATED, UNDEFINED
+    from lumitree.formats.ies import SIMULATED, UNDEFINED
     from lumitree.formats.photometric_file import read_again
     from lumitree.lamp.luminaire import load_luminaire
-    from lumitree.measure.photometry.far_field import (
-        asset_source,
-        luminaire_source,
-        measure,
-        oriented,
-    )
-    from lumitree.measure.photometry.far_field_figures import evaluated
-    from lumitree.measure.photometry.report import plots_png
+    from lumitree.measure.far_field import asset_source, luminaire_source, measure, oriented
+    from lumitree.measure.figures import plots_png
 
     if step is not None:
         Grid(step)
@@ -176,7 +169,7 @@ def photometry(
             _warn_fine(file, data.step)
     with watch.stage("write"):
         for path in outputs:
-            _writer(_suffix(path), data, measurement.rays)(path)
+            _write(path, data, measurement.rays)
     return PhotometryResult(
         luminaire=measurement.name,
         details=dict(data.distribution.details),
@@ -217,7 +210,7 @@ def _warn_far(source: "Source") -> None:
         place = ", ".join(f"{each:.10g}" for each in source.frame.centre)
         warnings.warn(
             f"{source.name} is at ({place}) in its file, where the float32 coordinates of a "
-            "ray file are too coarse; the rays are those of the lamp at the origin",
+            "ray file are too coarse; the rays are written with the lamp at the origin",
             LumitreeWarning,
             stacklevel=4,
         )
@@ -241,17 +234,21 @@ def _suffix(path: FilePath) -> str:
     return Path(path).suffix.lower()
 
 
-def _writer(suffix: str, data: "PhotometricData", rays: Any) -> Callable[[FilePath], None]:
-    """Function that writes a file of the given kind."""
+def _write(path: FilePath, data: PhotometricData, rays: "Rays") -> None:
     from lumitree.formats.ies import write_ies
     from lumitree.formats.ldt import write_ldt
     from lumitree.formats.tm25 import write_tm25
-    from lumitree.measure.photometry.report import write_html, write_pdf
+    from lumitree.measure.figures import write_html, write_pdf
 
     distribution = data.distribution
-    return {
-        ".ies": lambda path: write_ies(path, distribution),
-        ".ldt": lambda path: write_ldt(path, distribution),
-        ".html": lambda path: write_html(path, data),
-        ".pdf": lambda path: write_pdf(path, data),
-    }.get(suffix, lambda path: write_tm25(path, rays, distribution.name))
+    match _suffix(path):
+        case ".ies":
+            write_ies(path, distribution)
+        case ".ldt":
+            write_ldt(path, distribution)
+        case ".html":
+            write_html(path, data)
+        case ".pdf":
+            write_pdf(path, data)
+        case _:
+            write_tm25(path, rays, distribution.name)

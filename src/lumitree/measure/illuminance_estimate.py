@@ -1,4 +1,7 @@
-"""Illuminance with standard errors, until it is known well enough.
+"""Estimates of illuminance with standard errors, sampled until the errors are small enough.
+
+A receiver is a point with a normal, in free space or on a surface. Its light comes straight from
+emitters, by emitter sampling, or from surfaces and media, by paths as `lumitree_path` traces them.
 
 Direct light from the light fields of baked luminaires is a sum over their cells (`S` below), which
 holds where nothing of the scene shadows a receiver. Shadows are sampled, and so is the straight
@@ -6,21 +9,22 @@ light of luminaires with geometry, which their light fields do not give.
 
 Symbols
     t   sample of direct illuminance, by emitter sampling
-    w   the same sample if nothing shadowed it, for baked luminaires whose light is summed; else 0
+    w   the same sample without shadows, for baked luminaires whose light is summed; else 0
     S   mean of w, by summation
     c   coefficient of the control variate w
     y   t + c (S - w), with the same mean as t. Where nothing is shadowed, c = 1 and all samples are
         S; where everything is, c = 0 and all are 0
     r   sample of the light of surfaces and media
 
-What is rare may not be in the samples yet, and then their variance is 0: the shadow of one lamp
-among many, or light that comes through glass. So shadows and light that is not summed are counted,
-each by itself, and what is rare has a variance of its own until there is enough of it.
+A rare event may not be in the samples yet, and then their variance is 0: the shadow of one lamp
+among many, or light that comes through glass. So shadows and light that is not summed are counted
+separately, and a rare event has a variance of its own until there are enough samples of it.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import math
 import time
 from typing import Any
 
@@ -29,39 +33,42 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.core.device import on_device
 from lumitree.core.photometry import luminance
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
-from lumitree.measure.illuminance.light import (
-    behind_surfaces,
-    emitter_light,
-    medium_at,
-    receivers,
-    reflected_light,
-    summed_part,
-)
 from lumitree.rendering.emitter import lamps_of
-from lumitree.rendering.integrator import PathScene
+from lumitree.rendering.integrator import (
+    DEFAULT_RR_DEPTH,
+    PathScene,
+    PathState,
+    trace_paths,
+    visible,
+)
+from lumitree.rendering.proxies import NONE
+from lumitree.rendering.sampling import OUTSIDE
+from lumitree.trace import medium_paths
+from lumitree.trace.spawning import spawn
 
 # Samples that are computed at once, and of a receiver in a pass.
 _AT_ONCE = 1 << 20
 _MIN_SAMPLES, _MAX_SAMPLES = 64, 4096
 # Samples of a receiver that the first coefficients are estimated with; they are not used further.
 _PILOT = 16
-# Sums over the cells of light fields, each with other random points of the cells: so many at first,
-# and at once at most. Their standard error is brought below this part of the one that is wanted. Of
-# fewer sums at first the variance is small by chance at some points, and stated too small there.
+# Sums over the cells of light fields, each with other random points of the cells: the number at
+# first, and at most at once. Their standard error is reduced to this part of the wanted error. With
+# fewer sums at first, the variance would be underestimated at some points.
 _SUMS, _MAX_SUMS, _SUM_PART = 16, 1 << 10, 0.3
-# Part of the rays that end at backs of surfaces where a dark receiver is inside a solid. Not all of
-# them: faces of a solid may lie in those of another, as those of a cupboard in the walls.
+# A dark receiver is inside a solid if this part of its rays ends at backs of surfaces. Some may
+# not: a face of a solid may lie in a face of another, as the back of a cupboard in a wall.
 _ENCLOSED = 0.1
-# Passes in which such a receiver is searched for light before it counts as inside.
+# Passes in which light is searched for at such a receiver before it counts as inside.
 _SEARCHES = 16
-# Events seen fewer than `_FEW` times have no usable variance estimate. A receiver without light
-# gets at least `_UNSEEN` samples (so do all together, if none has any light that is not summed),
-# and at most `_MAX_UNSEEN` samples in search of unseen events.
+# Events seen fewer than `_FEW` times have no usable variance estimate. A dark receiver gets
+# `_UNSEEN` samples or more, and so do all receivers together while there is no light that is not
+# summed; no receiver gets more than `_MAX_UNSEEN` samples for an event that was not seen.
 _FEW, _UNSEEN, _MAX_UNSEEN = 8, 1 << 12, 1 << 14
-# Relative rounding error of the light of an unoccluded sample, whose factors may come in any order.
+# Relative difference of t and w without shadows, by the order of factors.
 _ROUNDING = 1e-5
 # Errors are relative to the illuminance, but to no less than this part of the mean.
 FLOOR = 0.1
@@ -114,32 +121,32 @@ class _Moments:
     def doubt(self) -> _Array:
         """Added to the variance for receivers with few samples that are not 0.
 
-        Where light comes by rare paths, as through glass, their own variance may be 0 by chance.
-        With it they have the variance of all receivers.
+        Where light comes by rare paths, as through glass, the sample variance may be 0. With the
+        doubt these receivers have the mean variance of all receivers.
         """
-        own = self.variance
-        of_all = (own * self.number).mean() / self.number
-        return np.where(self.hits < _FEW, np.maximum(of_all - own, 0), 0)
+        variance = self.variance
+        of_all = (variance * self.number).mean() / self.number
+        return np.where(self.hits < _FEW, np.maximum(of_all - variance, 0), 0)
 
 
 class _Shadows:
-    """How many samples of lamps whose light is summed were dimmed, and how many got through."""
+    """Numbers of samples of summed lamps that were shadowed, and that reached the receiver."""
 
     def __init__(self, count: int) -> None:
-        self._number, self._dimmed, self._lit = (np.zeros(count, np.int64) for _ in range(3))
+        self._number, self._shadowed, self._lit = (np.zeros(count, np.int64) for _ in range(3))
 
     def add(self, index: NDArray[np.int64], t: _Array, w: _Array) -> None:
         self._number[index] += np.count_nonzero(w > 0, axis=1)
-        self._dimmed[index] += np.count_nonzero((w > 0) & (t < (1 - _ROUNDING) * w), axis=1)
+        self._shadowed[index] += np.count_nonzero((w > 0) & (t < (1 - _ROUNDING) * w), axis=1)
         self._lit[index] += np.count_nonzero((w > 0) & (t > 0), axis=1)
 
     def doubt(self, summed: _Array) -> _Array:
         """Added to the variance where shadows, or the light between them, are rare.
 
-        Of n samples, which have about equal parts of S, as many and one more are taken to be of the
-        rarer kind.
+        The n samples have about equal parts of S. The rarer kind counts as one sample more than was
+        seen.
         """
-        rare = np.minimum(self._dimmed, self._lit)
+        rare = np.minimum(self._shadowed, self._lit)
         n = np.maximum(self._number, 1)
         return np.where(rare < _FEW, summed**2 * (rare + 1) / ((n + 2) * n), 0)
 
@@ -159,10 +166,7 @@ class _Control:
             total[index] += product.sum(axis=1)
 
     def coefficient(self, index: NDArray[np.int64]) -> _Array:
-        """c [M]: the covariance of t and w over the variance of w.
-
-        Where w is constant, it is what is not shadowed of it.
-        """
+        """c [M]: the covariance of t and w over the variance of w; t over w if w is constant."""
         n, w, t = self._number[index], self._w[index], self._t[index]
         variance = self._ww[index] - w * w / n
         covariance = self._tw[index] - t * w / n
@@ -198,7 +202,7 @@ def estimate(
     everyone = np.arange(count)
     summed, summed_variance = _summed(scene, points, normals, _SUM_PART * error, seed)
     control, direct, total = _Control(count), _Moments(count), _Moments(count)
-    # Of light that is not summed: the direct part of it, and all.
+    # Light that is not summed: its direct part, and all of it.
     others, rest, shadows = _Moments(count), _Moments(count), _Shadows(count)
     sampler = _Sampler(scene, points, normals, seed)
     for index in _chunks(everyone, _PILOT):
@@ -222,10 +226,10 @@ def estimate(
                 shadows.add(index, t, w)
                 largest[index] = np.maximum(largest[index], c)
                 by_samples[index] |= sampled
-            mean, own = total.mean, total.variance
+            mean, known = total.mean, total.variance
             unsure = rest.doubt if reflected else by_samples * others.doubt
-            variance = own + unsure + shadows.doubt(summed)
-            # Samples beyond all numbers do not become fewer.
+            variance = known + unsure + shadows.doubt(summed)
+            # More samples do not help where one was infinite.
             lost = ~np.isfinite(variance)
             level = mean[~lost].mean() if not lost.all() else 0.0
             goal = (error * np.maximum(mean, FLOOR * level)) ** 2
@@ -233,8 +237,8 @@ def estimate(
             enough = (variance <= goal) & (~unseen | (number >= _UNSEEN))
             if not rest.hits.any():
                 enough &= number.sum() >= _UNSEEN
-            # What is only doubtful ends some time.
-            enough |= (own <= goal) & (number >= _MAX_UNSEEN)
+            # Doubt alone has a limit.
+            enough |= (known <= goal) & (number >= _MAX_UNSEEN)
             left = np.flatnonzero(~enough & ~lost)
             part = np.where(lost, 1, _ratio(goal, np.maximum(goal, variance)))
             done = float(part.mean())
@@ -249,14 +253,13 @@ def estimate(
     # Samples share the error of S.
     shared = largest**2 * summed_variance + shadows.doubt(summed)
     dark = np.flatnonzero(total.mean == 0)
-    # Unknown inside solids: NaN.
-    known = np.ones(count)
-    known[dark[sampler.enclosed(dark)]] = np.nan
+    unknown_inside = np.ones(count)
+    unknown_inside[dark[sampler.enclosed(dark)]] = np.nan
     return Estimate(
-        known * direct.mean,
-        known * np.sqrt(direct.variance + by_samples * others.doubt + shared),
-        known * total.mean,
-        known * np.sqrt(total.variance + unsure + shared),
+        unknown_inside * direct.mean,
+        unknown_inside * np.sqrt(direct.variance + by_samples * others.doubt + shared),
+        unknown_inside * total.mean,
+        unknown_inside * np.sqrt(total.variance + unsure + shared),
         total.number,
     )
 
@@ -297,9 +300,9 @@ class _Sampler:
         return lux[0], lux[1], lux[2] if reflected else np.zeros((len(index), 1)), some
 
     def enclosed(self, index: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Whether receivers of an index [M], to which no light comes, are inside solids.
+        """Whether dark receivers of an index [M] are inside solids.
 
-        The walls of a room may have their backs inside too. There paths find what the lamps light.
+        The walls of a room may have their backs inside too. There paths find lit surfaces.
         """
         found = np.zeros(len(index), bool)
         for part in _chunks(np.arange(len(index)), _MIN_SAMPLES):
@@ -324,8 +327,8 @@ class _Sampler:
 def _summed(
     scene: PathScene, points: _Array, normals: _Array, error: float, seed: int
 ) -> tuple[_Array, _Array]:
-    """S [N], lx, and the variance of it; `error` as for `estimate`."""
-    lamps = lamps_of(scene.whole.emitters())
+    """S [N], lx, and its variance; `error` as for `estimate`."""
+    lamps = list(lamps_of(scene.whole.emitters()).values())
     if not lamps:
         return np.zeros(len(points)), np.zeros(len(points))
     sums, left, count = _Moments(len(points)), np.arange(len(points)), _SUMS
@@ -335,7 +338,7 @@ def _summed(
             stream = SeedStream(Purpose.ILLUMINANCE, step, 1)
             si = receivers(points[index], normals[index], count)
             found = np.zeros((len(index), count))
-            for number, lamp in enumerate(lamps.values()):
+            for number, lamp in enumerate(lamps):
                 random = mi.PCG32(dr.width(si.p), stream.seed(seed, number))
                 summed = lamp.is_summed(si.p, dr.full(mi.Bool, True, dr.width(si.p)))
                 light = lamp.irradiance(si.p, mi.Vector3f(si.n), random, summed) & summed
@@ -349,10 +352,110 @@ def _summed(
 
 
 def _chunks(index: NDArray[np.int64], samples: int) -> list[NDArray[np.int64]]:
-    """Parts of an index whose samples are few enough to be computed at once, none of them empty."""
+    """Parts of an index, none empty, whose samples are few enough to be computed at once."""
     parts = np.array_split(index, max(1, -(-len(index) * samples // _AT_ONCE)))
     return [part for part in parts if len(part)]
 
 
 def _ratio(a: Any, b: Any) -> Any:
     return np.divide(a, b, out=np.ones_like(a), where=b > 0)
+
+
+@dataclasses.dataclass
+class EmitterLight:
+    """Irradiance by one sampled direction of one sampled emitter (a PyTree of Dr.Jit)."""
+
+    # fmt: off
+    emitter: mi.EmitterPtr
+    unshadowed: mi.Spectrum  # Irradiance without shadows
+    through: mi.Spectrum     # Transmittance of the shadow ray
+    found: mi.Bool           # Whether there is any light
+    stored: mi.Bool          # Whether it comes from a light field, for a receiver outside the box
+    # fmt: on
+
+
+def receivers(
+    points: NDArray[np.floating], normals: NDArray[np.floating], count: int
+) -> mi.SurfaceInteraction3f:
+    """Receivers on the device, each `count` times in succession.
+
+    Args:
+        points: [N, 3].
+        normals: [N, 3], of any length.
+    """
+    place = [np.repeat(each, count, axis=0) for each in (points, normals)]
+    si = dr.zeros(mi.SurfaceInteraction3f, len(points) * count)
+    si.p = on_device(mi.Point3f, place[0])
+    si.n = dr.normalize(on_device(mi.Vector3f, place[1]))
+    si.sh_frame = mi.Frame3f(si.n)
+    return si
+
+
+def medium_at(scene: PathScene, si: mi.SurfaceInteraction3f) -> mi.MediumPtr:
+    """Medium that receivers are in: at the first border along their normals, on this side."""
+    if not scene.has_media:
+        return dr.zeros(mi.MediumPtr, dr.width(si.p))
+    owners = scene.divided.owners
+
+    def is_border(hit: mi.SurfaceInteraction3f, active: mi.Bool) -> mi.Bool:
+        # The glass of a placed lamp does not state the medium around it.
+        return hit.is_medium_transition() & (owners.of(hit.shape, active) == NONE)
+
+    ray = spawn(si, mi.Vector3f(si.n), scene.extent)
+    return medium_paths.medium_around(scene.divided.surfaces, ray, scene.extent, is_border)
+
+
+def emitter_light(
+    scene: PathScene,
+    si: mi.SurfaceInteraction3f,
+    medium: mi.MediumPtr,
+    sampler: mi.Sampler,
+    bsdf_pdf: float = 0,
+) -> EmitterLight:
+    """Irradiance by emitter sampling, of receivers in `medium`, see `medium_at`.
+
+    `bsdf_pdf` is the density per steradian and cosine of another strategy that samples directions,
+    for multiple importance sampling; 0 if there is none.
+    """
+    active = dr.full(mi.Bool, True, dr.width(si.p))
+    # Lamps are selected by their unshadowed light: a shadowed lamp may give most of it.
+    selected = scene.selection.sample(si, mi.Vector3f(si.n), mi.UInt32(NONE), sampler, active)
+    active &= selected.weight > 0
+    emitter = scene.emitter(selected.index, active)
+    sample = selected.sample
+    sampled = scene.lamps.call("sample_target", emitter, si, sample, mi.Bool(False), active)
+    ds = sampled.ds
+    cosine = dr.maximum(dr.dot(si.n, ds.d), 0)
+    found = active & sampled.valid & (cosine > 0)
+    through = visible(scene, si, ds, sampled.beyond, selected.index, medium, found)
+    weight = scene.lamps.call(
+        "eval_target", emitter, si, sampled, cosine * bsdf_pdf, selected.emitter_pmf, found
+    )
+    light = dr.select(found, weight * (cosine * selected.weight), 0)
+    return EmitterLight(emitter, light, through, found, sampled.target.place == OUTSIDE)
+
+
+def behind_surfaces(scene: PathScene, si: mi.SurfaceInteraction3f, sampler: mi.Sampler) -> mi.Bool:
+    """Whether a ray in a random direction ends at the back of a surface, as all do in a solid."""
+    direction = mi.warp.square_to_uniform_sphere(sampler.next_2d())
+    # As rays of `reflected_light`: the receiver may be on a surface.
+    start = spawn(si, mi.Vector3f(si.n), scene.extent).o
+    hit = scene.divided.surfaces.ray_intersect(mi.Ray3f(start, direction))
+    return hit.is_valid() & (dr.dot(hit.n, direction) > 0)
+
+
+def summed_part(scene: PathScene, si: mi.SurfaceInteraction3f, light: EmitterLight) -> mi.Bool:
+    """Whether the emitter's irradiance is known without sampling directions."""
+    return light.stored & scene.lamps.call("is_summed", light.emitter, si.p, light.found)
+
+
+def reflected_light(
+    scene: PathScene, si: mi.SurfaceInteraction3f, medium: mi.MediumPtr, sampler: mi.Sampler
+) -> mi.Spectrum:
+    """Irradiance by one path of light from surfaces and media, of any length."""
+    local = mi.warp.square_to_cosine_hemisphere(sampler.next_2d())
+    # A ray along the surface has no density, and brings nothing.
+    ray = spawn(si, si.to_world(local), scene.extent)
+    path = PathState.received(mi.Interaction3f(si), ray, medium, local.z > 0)
+    radiance, _, _ = trace_paths(scene, path, sampler, -1, DEFAULT_RR_DEPTH)
+    return math.pi * radiance
