@@ -79,9 +79,9 @@ class BakeConfig:
         method: how a radiance field is made: "octree", by gradient descent from traced rays; or
             "network", as in the paper: views, a network, and an octree of its output.
         parts: what the asset gets. "light": the light field, 5 to 12 s on 2 CPU cores; it
-            illuminates scenes. "field": the radiance field; images show it, and it illuminates if
-            there is no light field. Without it images show the light field, which
-            is blurred and lets all light through. "geometry": the luminaire itself, which images
+            illuminates scenes. "field": the radiance field, which images show; without the
+            part "light", a light field is made of its rays. Without a field images show the light
+            field, which is blurred and lets all light through. "geometry": the luminaire itself, which images
             under `lumitree_path` show in place of the field; beside one of the other two. A part
             that is named here and cannot be made is an error. None: "light" and "geometry", which
             images under `lumitree_path` need; "light" and "field" by the method "network", and,

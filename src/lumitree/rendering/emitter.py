@@ -34,7 +34,6 @@ from lumitree.rendering.asset_flux import axis_intensities
 from lumitree.rendering.device import DeviceAsset
 from lumitree.rendering.device_light import CellLight, DeviceLight
 from lumitree.rendering.geometry import GeometryEmitter
-from lumitree.rendering.light_colour import LightColour
 from lumitree.rendering.objects import complete_later
 from lumitree.rendering.sampling import INSIDE, OUTSIDE, STRAIGHT, Target, cone_pdf, mis_weight
 from lumitree.rendering.straight_light import StraightLight
@@ -254,7 +253,7 @@ class PlacedLamp(PlacedAsset):
 
     def make_tables(self) -> None:
         """Make the tables that the methods need."""
-        _ = self.colour, self.straight
+        _ = self.straight, mi.is_spectral and self.device.spectra
         if self.stored is not None:
             _ = self.stored.table
         _ = self.device.field_rays if self.light is None else self.light.table
@@ -311,10 +310,9 @@ class PlacedLamp(PlacedAsset):
         """The emitters of its geometry, if images show it."""
         return self.device.straight if self.shows_geometry else None
 
-    @property
-    def colour(self) -> LightColour:
-        """Conversion of RGB light to the colours of the variant."""
-        return self.device.colour
+    def colour(self, rgb: mi.Color3f, wavelengths: mi.Spectrum) -> mi.Spectrum:
+        """RGB light in the colours of the variant, at wavelengths in nm if it is spectral."""
+        return self.device.spectra(rgb, wavelengths) if mi.is_spectral else mi.Spectrum(rgb)
 
     # ---------------------- Facts ----------------------
 
