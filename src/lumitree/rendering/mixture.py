@@ -27,8 +27,8 @@ class MixResult(SavedImage):
     Attributes:
         pixels: float32 [height, width, 3], linear radiance, W/(m² sr).
         settings: what made the image, as JSON text; the comment of the files.
-        exposure: factor on the radiance before the view transform of `png`; by default that of the
-            layers without gains.
+        exposure: factor on the radiance before the view transform of `png`; by default the
+            exposure of the layers without gains.
         layers: names of the layers.
         resolution: width and height in pixels.
         mean_radiance: mean over pixels and channels, W/(m² sr).
@@ -55,8 +55,8 @@ def mix(
         gains: by name of the layer, factors [3] on R, G and B of its light, or one number for all;
             0 to 10⁶. Default: 1.
         view: view transform of `png`, as for `render`.
-        exposure: factor on the radiance before it, 10⁻¹² to 10¹². Default: that of the layers
-            without gains.
+        exposure: factor on the radiance before it, 10⁻¹² to 10¹². Default: the exposure of the
+            layers without gains.
 
     Returns:
         The image as `pixels`, float32 [height, width, 3], linear radiance in W/(m² sr), and
@@ -81,7 +81,7 @@ def mix(
         # Other files have other channels too, such as AOVs.
         if not alike or (file is not None and "RGB" in colours):
             raise LumitreeError(
-                f"{what} is not made of layers alone; expected channels NAME.R, NAME.G and NAME.B "
+                f"{what} is not made of layers only; expected channels NAME.R, NAME.G and NAME.B "
                 "of each, as `lumitree render --layers` writes them"
             )
         for name in factors.keys() - colours.keys():
@@ -102,7 +102,7 @@ def mix(
                 "gains; render them again, or use smaller gains"
             )
     if exposure is None:
-        # That of the image as it was rendered, so that a lamp that is dimmed looks dimmed.
+        # The exposure of the image as it was rendered, so that a dimmed lamp looks dimmed.
         exposure = room_exposure(np.stack(list(colours.values())).sum(axis=0, dtype=np.float64))
     settings = image_settings(
         "mix", layers=file, gains=factors, view=view, exposure=exposure, rendered=rendered
