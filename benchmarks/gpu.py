@@ -31,7 +31,7 @@ from benchmarks.gpu_parts.running import Run, run_parts
 from benchmarks.gpu_parts.sizes import SIZES
 from lumitree.core.backend import CPU_VARIANT, GPU_VARIANT
 from lumitree.core.files import write_bytes
-from lumitree.core.interrupt import interruptible
+from lumitree.core.interruption import interruptible
 from lumitree.errors import LumitreeError
 
 # The processes of the parts load Mitsuba, this one does not.

@@ -196,7 +196,7 @@ def measure_folder(work: Path, workers: int, options: argparse.Namespace) -> dic
         raise LumitreeError("a lamp was not kept; remove the folder of --work, and begin again")
     page = lumitree.collect(folder).seconds["collect"]
     files = [path for path in folder.rglob("*") if path.is_file()]
-    kinds = {"assets": ".lumitree", "records": ".json", "thumbnails": ".webp", "pages": ".html"}
+    kinds = {"assets": ".lumitree", "thumbnails": ".jpg", "page": ".html"}
     sizes = {
         kind: sum(path.stat().st_size for path in files if path.suffix == suffix)
         for kind, suffix in kinds.items()
@@ -206,9 +206,6 @@ def measure_folder(work: Path, workers: int, options: argparse.Namespace) -> dic
         "check_seconds": check,
         "page_seconds": page,
         "bytes": sizes,
-        "first_page_bytes": (folder / "index.html").stat().st_size,
-        "names_bytes": (folder / "index-files/folder/names.js").stat().st_size,
-        "lamp_seconds": [lamp.seconds for lamp in kept.lamps],
     }
 
 
@@ -266,15 +263,10 @@ def folder_table(found: dict[str, Any], lamps: int) -> Table:
     rows = [
         ["asset, kB a lamp", f"{sizes['assets'] / lamps / 1e3:.1f}"],
         ["thumbnail, kB a lamp", f"{sizes['thumbnails'] / lamps / 1e3:.1f}"],
-        ["record, kB a lamp", f"{sizes['records'] / lamps / 1e3:.1f}"],
-        [
-            "pages and names, kB a lamp",
-            f"{(sizes['pages'] + found['names_bytes']) / lamps / 1e3:.2f}",
-        ],
-        ["first page, kB", f"{found['first_page_bytes'] / 1e3:.0f}"],
+        ["page, kB a lamp", f"{sizes['page'] / lamps / 1e3:.2f}"],
         ["all lamps kept: whole command, s", f"{found['command_seconds']:.2f}"],
         ["all lamps kept: check and page, s", f"{found['check_seconds']:.3f}"],
-        ["pages alone, s", f"{found['page_seconds']:.3f}"],
+        ["page alone, s", f"{found['page_seconds']:.3f}"],
     ]
     return Table(["figure", "value"], rows)
 

@@ -125,7 +125,7 @@ def by_ies2rad(path: Path, plane: Plane, options: argparse.Namespace) -> Found:
 
 
 def by_cycles(path: Path, plane: Plane, options: argparse.Namespace) -> Found:
-    from lumitree.output.blender.blender import find_blender
+    from lumitree.exports.blender import find_blender
 
     program = find_blender(options.blender)
     seeds = [options.seed + index for index in range(_SEEDS)]

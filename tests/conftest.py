@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, settings
 
 from lumitree.core import progress
 from lumitree.core.extras import check_network
-from lumitree.core.system import STOP_SIGNALS
+from lumitree.core.interruption import STOP_SIGNALS
 from lumitree.errors import LumitreeError
 from support.variant import VARIANT
 
@@ -27,10 +27,8 @@ JAX_TESTS = (
 # Modules that use what POSIX systems alone have; elsewhere they are not collected.
 POSIX_TESTS = (
     "core/test_files.py",
-    "core/test_interrupt.py",
+    "core/test_interruption.py",
     "core/test_reading.py",
-    "core/test_system.py",
-    "core/test_work_folder.py",
     "test_stops.py",
 )
 collect_ignore = list(POSIX_TESTS) if os.name == "nt" else []

@@ -10,8 +10,8 @@ import pytest
 
 import lumitree
 from lumitree import demo
+from lumitree.core.files import WorkFolder
 from lumitree.core.frames import rotation, similarity
-from lumitree.core.work_folder import WorkFolder
 from lumitree.fit.config import BakeConfig
 from lumitree.rendering.asset_cache import open_field
 from support import tiny_bakes

@@ -36,7 +36,7 @@ LUMENS = {
 @pytest.mark.parametrize("name", LUMENS)
 def test_flux_of_bare_emitters(mi, name):
     from lumitree.lamp.loading import load_luminaire
-    from lumitree.trace.lamp_rays import LampRays
+    from lumitree.trace.light_paths import LampRays
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", LumitreeWarning)

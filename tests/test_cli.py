@@ -13,8 +13,8 @@ import pytest
 
 import lumitree
 from lumitree.cli import main
-from lumitree.core.work_folder import MARKER
-from lumitree.trace.flux_figures import flux_text
+from lumitree.core.files import MARKER
+from lumitree.core.photometry import flux_text
 from support.fields import make_asset, random_asset
 from support.lamps import AREA, BALL, room, sphere
 
@@ -160,7 +160,7 @@ def test_what_a_command_cannot_do_is_refused_before_it_works(capsys, monkeypatch
     monkeypatch.setattr("lumitree.fit.bake.load_rgb", work)
     monkeypatch.setattr("lumitree.fit.bake_network.load_rgb", work)
     monkeypatch.setattr("lumitree.measure.evaluate.load_rgb", work)
-    monkeypatch.setattr("lumitree.output.preview.load_rgb", work)
+    monkeypatch.setattr("lumitree.measure.preview.load_rgb", work)
     for arguments in (
         ["bake", "bulbs", "-o", "a.lumitree", "--method", "network", "--seed", "-1"],
         ["bake", "bulbs", "-o", "a.lumitree", "--seed", "-1"],
@@ -259,8 +259,8 @@ def test_list_info_and_json(capsys):
 
 @pytest.mark.slow
 def test_preview(capsys, monkeypatch):
-    monkeypatch.setattr("lumitree.output.preview.FLUX_PATHS", 1)
-    monkeypatch.setattr("lumitree.output.preview.BOUNCE_PATHS", 1)
+    monkeypatch.setattr("lumitree.measure.preview.FLUX_PATHS", 1)
+    monkeypatch.setattr("lumitree.measure.preview.BOUNCE_PATHS", 1)
     assert main(["preview", "lamp.xml", "-o", "sheet.png", "--resolution", "16", "--spp", "4",
                  "--bounces", "--json", "report.json"]) == 0  # fmt: skip
     captured = capsys.readouterr()

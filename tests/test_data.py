@@ -92,7 +92,7 @@ def test_obj_models_are_repaired_as_by_hand(mi, folder):
 @REPEATED
 def test_obj_and_hand_made_scene_give_the_same_light(mi, tmp_path):
     from lumitree.lamp.loading import load_luminaire
-    from lumitree.trace.capture import capture
+    from lumitree.trace.cameras import capture
 
     hand_made = DATA / "luminaires" / "scopia_chandelier" / "luminaire.xml"
     means = []

@@ -4,7 +4,6 @@ import errno
 import os
 import re
 import shutil
-import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +12,8 @@ import pytest
 import lumitree
 from lumitree.cli import main
 from lumitree.core import files
+from lumitree.core.files import WorkFolder, exclusive
 from lumitree.core.images import write_exr
-from lumitree.core.work_folder import WorkFolder, alone_in
 from support import tiny_bakes
 from support.fields import random_asset
 from support.lamps import BALL
@@ -64,17 +63,14 @@ def error_line(text):
 
 def refuse_new_files(monkeypatch):
     """Let the system refuse every temporary file in the folder of the output."""
+    lock = files._lock
 
-    def refused(function):
-        def make(*args, dir=None, **options):
-            if dir is not None and Path(dir).resolve().is_relative_to(Path("out").resolve()):
-                raise OSError(errno.EACCES, os.strerror(errno.EACCES), str(dir))
-            return function(*args, dir=dir, **options)
+    def refused(path, **options):
+        if path.resolve().is_relative_to(Path("out").resolve()):
+            raise OSError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+        return lock(path, **options)
 
-        return make
-
-    for name in ("mkstemp", "mkdtemp"):
-        monkeypatch.setattr(tempfile, name, refused(getattr(tempfile, name)))
+    monkeypatch.setattr(files, "_lock", refused)
     return "Permission denied; "
 
 
@@ -87,8 +83,7 @@ def fill_the_disk(monkeypatch):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         flush(path)
 
-    for module in ("files", "work_folder"):
-        monkeypatch.setattr(f"lumitree.core.{module}.flush_to_disk", full)
+    monkeypatch.setattr(files, "flush_to_disk", full)
     return "No space left on device; free some space or "
 
 
@@ -99,8 +94,7 @@ def remove_the_folder(monkeypatch):
         shutil.rmtree("out")
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT))
 
-    for module in ("files", "work_folder"):
-        monkeypatch.setattr(f"lumitree.core.{module}.flush_to_disk", vanish)
+    monkeypatch.setattr(files, "flush_to_disk", vanish)
     return "No such file or directory; choose another"
 
 
@@ -118,7 +112,7 @@ def test_an_output_that_cannot_be_written_is_one_line(inputs, monkeypatch, capfd
 @pytest.mark.parametrize(
     ("holder", "place", "command"),
     [
-        (alone_in, "out/views", "capture lamp.xml -o out/views --views 3 --resolution 32"),
+        (exclusive, "out/views", "capture lamp.xml -o out/views --views 3 --resolution 32"),
         (WorkFolder, "out/lamp.work", "bake lamp.xml -o out/lamp.lumitree"),
     ],
 )
@@ -135,7 +129,7 @@ def test_a_run_has_one_writer(capfd):
     views = ("--views", "4", "--resolution", "16", "--spp", "4")
     assert main(["capture", "lamp.xml", "-o", "views", *views]) == 0
     capfd.readouterr()
-    with alone_in(Path("out/run")):
+    with exclusive(Path("out/run")):
         assert main(["train", "views", "-o", "out/run"]) == 2
     line = "another process works in out/run; wait for it, or choose another output with -o"
     assert error_line(capfd.readouterr().err) == line

@@ -74,9 +74,9 @@ def test_the_wheel_has_the_package_alone(distributions):
     names = set(contents(wheel))
     package = {name for name in names if not name.startswith(info)}
     assert package == files_of_package()
-    for name in ("py.typed", "output/viewer/page/template.html", "__init__.pyi"):
+    for name in ("py.typed", "viewer/page/template.html", "__init__.pyi"):
         assert f"lumitree/{name}" in package
-    assert "lumitree/output/blender/lumitree-blender.zip" in package
+    assert "lumitree/exports/blender_files/lumitree-blender.zip" in package
     assert f"{info}/licenses/LICENSE" in names
     assert f"{info}/entry_points.txt" in names
 

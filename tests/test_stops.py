@@ -13,8 +13,7 @@ import pytest
 
 import lumitree
 from lumitree.cli import main
-from lumitree.core.files import atomic_path
-from lumitree.core.work_folder import MARKER
+from lumitree.core.files import MARKER, atomic_path
 from support import tiny_bakes
 from support.fields import random_asset
 from support.lamps import BALL, room
@@ -96,7 +95,7 @@ def tiny(monkeypatch):
 @pytest.fixture
 def steps(monkeypatch):
     """The steps of the descent that are begun; `steps.before[n]` is called before step n."""
-    from lumitree.fit.octree.refine import Refiner
+    from lumitree.fit.octree.descent import Refiner
 
     class Steps(list):
         before: ClassVar[dict[int, Callable[[], None]]] = {}

@@ -9,14 +9,14 @@ import pytest
 
 import lumitree
 from lumitree.cli import main
+from lumitree.core.backend import num_cores
+from lumitree.core.executor import process_pool
 from lumitree.core.images import read_exr
-from lumitree.core.process_pool import process_pool
-from lumitree.core.system import num_cores
 from lumitree.errors import LumitreeError
-from lumitree.fit.light_field import batches
+from lumitree.fit.light_field import bake as light_field_bake
 from lumitree.lamp import sent
 from lumitree.rendering import passes, render_job
-from lumitree.trace import capture as views
+from lumitree.trace import cameras as views
 from support import executors
 from support.executors import LastFirst
 from support.lamps import room
@@ -51,7 +51,7 @@ def _no_scenes_of_tasks():
     """Tasks in this process keep their scenes."""
     yield
     for cache in (
-        sent.received_luminaire, render_job._received, views._camera, batches._rays,
+        sent.received_luminaire, render_job._received, views._camera, light_field_bake._rays,
     ):  # fmt: skip
         cache.cache_clear()
 
@@ -201,8 +201,8 @@ def shared_by(monkeypatch):
         asked.append(value)
         yield executor
 
-    monkeypatch.setattr("lumitree.core.process_pool.process_pool", given)
-    monkeypatch.setattr("lumitree.core.dask_executor.dask_executor", given)
+    monkeypatch.setattr("lumitree.core.executor.process_pool", given)
+    monkeypatch.setattr("lumitree.core.executor.dask_executor", given)
     return executor, asked
 
 

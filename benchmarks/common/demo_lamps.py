@@ -34,7 +34,7 @@ def flux_in_room(asset: Any) -> NDArray[np.float64]:
     from lumitree.rendering.demo_room import LAMP_SIZE
 
     scale = LAMP_SIZE / (2 * float(asset.frame.half_extents.max()))
-    return light_field_watts(asset.light_field) * asset.gain * scale**2
+    return light_field_watts(asset.light_field) * asset.light_factors * scale**2
 
 
 def sphere_room(asset: Any, width: int, room: Any = None) -> Any:

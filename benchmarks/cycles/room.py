@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.output.blender.blender import run_script
+from lumitree.exports.blender import run_script
 
 # Metres, y up. Walls by centre and two half edges, whose cross product points into the room.
 WALLS: dict[str, dict[str, Any]] = {

@@ -49,7 +49,7 @@ def read_lights(path: Path) -> list[ReadLight]:
     Raises:
         LumitreeError: the package usd-core is not installed.
     """
-    from lumitree.output.usd.library import load_usd
+    from lumitree.exports.usd import load_usd
 
     pxr = load_usd()
     stage = pxr.Usd.Stage.Open(str(path))

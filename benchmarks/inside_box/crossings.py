@@ -18,10 +18,8 @@ from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.errors import LumitreeError
 from lumitree.lamp.luminaire import Luminaire
 from lumitree.trace import light_paths
-from lumitree.trace.geometric_normals import is_opaque, on_opposite_sides
-from lumitree.trace.spawning import scene_extent, spawn
-from lumitree.trace.straight_through import is_transmitted
-from lumitree.trace.tracing import PATH_DEPTH, check_finite
+from lumitree.trace.cameras import PATH_DEPTH, check_finite, is_transmitted
+from lumitree.trace.spawning import is_opaque, on_opposite_sides, scene_extent, spawn
 
 # Independent batches that an estimate is the mean of.
 BATCHES = 16

@@ -20,7 +20,7 @@ from benchmarks.common.tables import Table
 from benchmarks.paper_tables.scales import Scale
 from benchmarks.paper_tables.work import Work, plain
 from lumitree.core.files import write_json
-from lumitree.core.system import peak_memory_bytes
+from lumitree.core.stopwatch import peak_memory_bytes
 
 State = Literal["done", "missing", "outdated"]
 

@@ -20,8 +20,8 @@ from benchmarks.equal_error.batches import digest
 from benchmarks.paper_tables.scales import Direct, Scale, Views
 from lumitree.core.dataset import Split
 from lumitree.core.files import write_json
-from lumitree.core.interrupt import Interrupted
-from lumitree.core.system import peak_memory_bytes
+from lumitree.core.interruption import Interrupted
+from lumitree.core.stopwatch import peak_memory_bytes
 from lumitree.fit.config import BakeConfig
 from lumitree.fit.network.config import TrainConfig
 

@@ -54,8 +54,7 @@ def cycles_methods(luminaire: Any, asset: Any, room: Room, program: str) -> list
         room: where it hangs.
         program: Blender, or a Python with the module bpy.
     """
-    from lumitree.output.blender.blender import find_blender
-    from lumitree.output.blender.script import geometry_script, make_script
+    from lumitree.exports.blender import find_blender, geometry_script, make_script
 
     program = find_blender(program)
     lamp = make_script(asset, _LIGHTS, "y")

@@ -17,9 +17,26 @@ from numpy.typing import NDArray
 
 from benchmarks.rival_methods.method import PATH_DEPTH, Method, TimedImage
 from benchmarks.rival_methods.room import Room, lamp_from_file
-from lumitree.asset.geometry import AssetGeometry
-from lumitree.asset.geometry_media import scattering_sides, side_medium
-from lumitree.asset.textures import Json
+from lumitree.asset.geometry import AssetGeometry, Shape
+from lumitree.asset.materials import (
+    Blend,
+    Diffuse,
+    Glass,
+    Mask,
+    Material,
+    Metal,
+    Microfacets,
+    Parameter,
+    Plastic,
+    Principled,
+    RoughConductor,
+    RoughDielectric,
+    RoughPlastic,
+    Texture,
+    ThinDielectric,
+    TwoSided,
+    VertexColours,
+)
 from lumitree.core.frames import similarity_scale
 from lumitree.errors import LumitreeError, shown
 
@@ -30,7 +47,7 @@ _LIMIT = 1800.0
 # little that its bias in bidirectional path tracing does not count.
 _ROULETTE, _LATE_ROULETTE = 3, 12
 # Parameters of principled materials that are plastics.
-_PLAIN = {"type", "base_color", "roughness", "specular", "eta"}
+_PLAIN = {"base_color", "roughness", "specular", "eta"}
 Properties = dict[str, Any]
 
 
@@ -75,7 +92,7 @@ def luxcore_scene(
     Raises:
         LumitreeError: a material has no equal in LuxCore.
     """
-    from lumitree.output.geometry_meshes import geometry_meshes
+    from lumitree.exports.surfaces import geometry_meshes
 
     height = view["height"] / view["width"]
     # LuxCore counts rows from the bottom, and shows each a pixel too low.
@@ -102,7 +119,9 @@ def luxcore_scene(
     return LuxCoreScene(properties, meshes)
 
 
-def shape_properties(name: str, shape: Json, materials: Sequence[Json], scale: float) -> Properties:
+def shape_properties(
+    name: str, shape: Shape, materials: Sequence[Material], scale: float
+) -> Properties:
     """Properties of a shape: its material, what it emits, and the medium inside.
 
     Args:
@@ -114,19 +133,19 @@ def shape_properties(name: str, shape: Json, materials: Sequence[Json], scale: f
     Raises:
         LumitreeError: LuxCore has no equal.
     """
-    if "exterior" in shape:
+    if shape.exterior is not None:
         raise LumitreeError("LuxCore: media outside of a shape are not written")
-    if scattering_sides(shape):
+    if shape.scatters:
         # With its homogeneous media, `star` does not light the room.
         raise LumitreeError("LuxCore: media that scatter are not written")
-    found = material_properties(name, materials[shape["material"]])
-    if shape["radiance"] is not None:
-        found[f"scene.materials.{name}.emission"] = _colour(shape["radiance"])
-    if "interior" in shape:
+    found = material_properties(name, materials[shape.material])
+    if shape.radiance is not None:
+        found[f"scene.materials.{name}.emission"] = _colour(shape.radiance)
+    if shape.interior is not None:
         # Volumes and materials share their names.
-        medium, volume = side_medium(shape["interior"]), f"scene.volumes.{name}_medium"
+        volume = f"scene.volumes.{name}_medium"
         found[f"{volume}.type"] = "clear"
-        found[f"{volume}.absorption"] = (medium.absorption / scale).tolist()
+        found[f"{volume}.absorption"] = [each / scale for each in shape.interior.absorption]
         found[f"{volume}.ior"] = found.get(f"scene.materials.{name}.interiorior", 1.0)
         found[f"scene.materials.{name}.volume.interior"] = f"{name}_medium"
     found[f"scene.objects.{name}.shape"] = name
@@ -134,8 +153,8 @@ def shape_properties(name: str, shape: Json, materials: Sequence[Json], scale: f
     return found
 
 
-def material_properties(name: str, material: Json) -> Properties:
-    """Properties of a material and of those that it holds.
+def material_properties(name: str, material: Material) -> Properties:
+    """Properties of a material and of its nested materials.
 
     Metals have their reflectance at normal incidence, which rises to 1 at grazing angles. Plastics
     have a coat over a diffuse base, whose reflectance at normal incidence is that of their index.
@@ -144,77 +163,81 @@ def material_properties(name: str, material: Json) -> Properties:
     Raises:
         LumitreeError: LuxCore has no equal of the material.
     """
+    from lumitree.exports.pbr import principled_index, relative_index
     from lumitree.lamp.conductors import normal_reflectance
-    from lumitree.output.optics import plastic_index, principled_index, relative_index
 
-    kind, prefix = material["type"], f"scene.materials.{name}"
     own: Properties
-    if kind == "twosided" and len(material["nested"]) == 1:
-        # Opaque surfaces of LuxCore have two sides, alike.
-        return material_properties(name, material["nested"][0])
     inner: Properties = {}
-    for index, nested in enumerate(material.get("nested", [])):
+    for index, nested in enumerate(material.nested):
         inner |= material_properties(f"{name}_{index}", nested)
-    if kind == "twosided":
-        own = {"type": "twosided", "frontmaterial": f"{name}_0", "backmaterial": f"{name}_1"}
-    elif kind == "blendbsdf":
-        own = {"type": "mix", "material1": f"{name}_0", "material2": f"{name}_1"}
-        own["amount"] = _number(material.get("weight", 0.5))
-    elif kind == "mask":
-        own = {"type": "mix", "material1": f"{name}_clear", "material2": f"{name}_0"}
-        own["amount"] = _number(material.get("opacity", 0.5))
-        inner[f"scene.materials.{name}_clear.type"] = "null"
-    elif kind == "diffuse":
-        own = {"type": "matte", "kd": _colour(material.get("reflectance", 0.5))}
-    elif kind in ("dielectric", "roughdielectric", "thindielectric"):
-        types = {"roughdielectric": "roughglass", "thindielectric": "archglass"}
-        own = {
-            "type": types.get(kind, "glass"),
-            "kr": _colour(material.get("specular_reflectance", 1.0)),
-            "kt": _colour(material.get("specular_transmittance", 1.0)),
-            "interiorior": relative_index(material),
-            "exteriorior": 1.0,
-        }
-        if kind == "roughdielectric":
-            own |= _roughness(material)
-    elif kind in ("conductor", "roughconductor"):
-        tint = np.array(_colour(material.get("specular_reflectance", 1.0)))
-        reflectance = (tint * normal_reflectance(material)).tolist()
-        own = {"type": "mirror", "kr": reflectance}
-        if kind == "roughconductor":
-            own = {"type": "metal2", "fresnel": f"{name}_fresnel", **_roughness(material)}
-            inner[f"scene.textures.{name}_fresnel.type"] = "fresnelcolor"
-            inner[f"scene.textures.{name}_fresnel.kr"] = reflectance
-    elif kind in ("plastic", "roughplastic"):
-        own = _coated(material.get("diffuse_reflectance", 0.5), plastic_index(material))
-        own |= _roughness({"alpha": 0.0} if kind == "plastic" else material)
-    elif kind == "principled" and material.keys() <= _PLAIN:
-        own = _coated(material.get("base_color", 0.5), principled_index(material))
-        own |= _roughness({"alpha": _number(material.get("roughness", 0.5)) ** 2})
-    else:
-        raise LumitreeError(f"LuxCore: a material {kind!r} is not written")
-    return inner | {f"{prefix}.{key}": value for key, value in own.items()}
+    match material:
+        case TwoSided(nested=(both,)):
+            # Opaque surfaces of LuxCore have two sides, alike.
+            return material_properties(name, both)
+        case TwoSided():
+            own = {"type": "twosided", "frontmaterial": f"{name}_0", "backmaterial": f"{name}_1"}
+        case Blend():
+            own = {"type": "mix", "material1": f"{name}_0", "material2": f"{name}_1"}
+            own["amount"] = _number(material.weight)
+        case Mask():
+            own = {"type": "mix", "material1": f"{name}_clear", "material2": f"{name}_0"}
+            own["amount"] = _number(material.opacity, 0.5)
+            inner[f"scene.materials.{name}_clear.type"] = "null"
+        case Diffuse():
+            own = {"type": "matte", "kd": _colour(material.reflectance, 0.5)}
+        case Glass():
+            own = {
+                "type": "archglass" if isinstance(material, ThinDielectric) else "glass",
+                "kr": _colour(material.specular_reflectance),
+                "kt": _colour(material.specular_transmittance),
+                "interiorior": relative_index(material),
+                "exteriorior": 1.0,
+            }
+            if isinstance(material, RoughDielectric):
+                own |= {"type": "roughglass", **_roughness(material)}
+        case Metal():
+            tint = np.array(_colour(material.specular_reflectance))
+            reflectance = (tint * normal_reflectance(material)).tolist()
+            own = {"type": "mirror", "kr": reflectance}
+            if isinstance(material, RoughConductor):
+                own = {"type": "metal2", "fresnel": f"{name}_fresnel", **_roughness(material)}
+                inner[f"scene.textures.{name}_fresnel.type"] = "fresnelcolor"
+                inner[f"scene.textures.{name}_fresnel.kr"] = reflectance
+        case Plastic():
+            own = _coated(_colour(material.diffuse_reflectance, 0.5), relative_index(material))
+            alpha = _number(material.alpha, 0.1) if isinstance(material, RoughPlastic) else 0.0
+            own |= {"uroughness": alpha, "vroughness": alpha}
+        case Principled() if material.parameters.keys() <= _PLAIN:
+            own = _coated(_colour(material.base_color, 0.5), principled_index(material))
+            alpha = _number(material.roughness, 0.5) ** 2
+            own |= {"uroughness": alpha, "vroughness": alpha}
+        case _:
+            raise LumitreeError(f"LuxCore: a material {material.plugin!r} is not written")
+    return inner | {f"scene.materials.{name}.{key}": value for key, value in own.items()}
 
 
-def _coated(colour: Any, index: float) -> Properties:
+def _coated(colour: list[float], index: float) -> Properties:
     """A diffuse base of a colour under a coat with an index of refraction."""
-    return {"type": "glossy2", "kd": _colour(colour), "ks": [1.0] * 3, "index": index}
+    return {"type": "glossy2", "kd": colour, "ks": [1.0] * 3, "index": index}
 
 
-def _roughness(material: Json) -> Properties:
-    alpha = material.get("alpha", 0.1)
-    rough = [_number(material.get(f"alpha_{axis}", alpha)) for axis in ("u", "v")]
-    return {"uroughness": rough[0], "vroughness": rough[1]}
+def _roughness(material: Microfacets) -> Properties:
+    first, second = (
+        _number(material.alpha if each is None else each, 0.1)
+        for each in (material.alpha_u, material.alpha_v)
+    )
+    return {"uroughness": first, "vroughness": second}
 
 
-def _colour(value: Any) -> list[float]:
-    if isinstance(value, dict):
+def _colour(value: Parameter | None, default: float = 1.0) -> list[float]:
+    if isinstance(value, Texture | VertexColours):
         raise LumitreeError("LuxCore: textures are not written")
-    return np.broadcast_to(np.asarray(value, np.float64), 3).tolist()
+    given = default if value is None else value
+    return np.broadcast_to(np.asarray(given, np.float64), 3).tolist()
 
 
-def _number(value: Any) -> float:
-    return float(np.mean(_colour(value)))
+def _number(value: Parameter | None, default: float = 1.0) -> float:
+    return float(np.mean(_colour(value, default)))
 
 
 @dataclasses.dataclass(frozen=True)

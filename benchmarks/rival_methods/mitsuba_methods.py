@@ -124,7 +124,7 @@ def point_lights_asset(asset: Any, count: int) -> Any:
     """
     from lumitree.asset.asset import light_field_asset
     from lumitree.asset.light_field import make_light_field
-    from lumitree.output.point_lights import cluster_lights
+    from lumitree.exports.point_lights import cluster_lights
 
     half = asset.frame.half_extents
     lights = cluster_lights(asset.light_field, half, count)
@@ -135,4 +135,4 @@ def point_lights_asset(asset: Any, count: int) -> Any:
     np.add.at(intensity, index.ravel(), lights.intensity)
     field = make_light_field(cells, intensity, _POINT_DEPTH)
     made = light_field_asset(field, asset.frame, asset.luminaire)
-    return dataclasses.replace(made, gain=asset.gain)
+    return dataclasses.replace(made, light_factors=asset.light_factors)

@@ -11,7 +11,7 @@ import zipfile
 from pathlib import Path
 
 FOLDER = Path(__file__).parent / "lumitree_blender"
-ARCHIVE = Path(__file__).parents[2] / "src/lumitree/output/blender/lumitree-blender.zip"
+ARCHIVE = Path(__file__).parents[2] / "src/lumitree/exports/blender_files/lumitree-blender.zip"
 # Temperatures of the table, equally spaced in 1/K: interpolated colours are exact to 0.01 % of the
 # brightest channel.
 _TEMPERATURES = 200

@@ -4,7 +4,7 @@ The public names are listed in `__init__.pyi`, and are imported on first use. Im
 mitsuba: it then names a working libLLVM to Mitsuba (see `lumitree.core.backend`).
 """
 
-from lumitree.core.program import exit_on_signals, is_program
+from lumitree.core.interruption import exit_on_signals, is_program
 
 if is_program():
     # The command line imports this package first; `main` installs its own handlers.

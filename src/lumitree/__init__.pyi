@@ -4,14 +4,24 @@ from ._version import __version__ as __version__
 from .asset.asset import Asset as Asset
 from .asset.asset import AssetInfo as AssetInfo
 from .asset.file import save as save
+from .core.executor import process_pool as process_pool
 from .core.frames import LocalFrame as LocalFrame
-from .core.interrupt import Interrupted as Interrupted
-from .core.process_pool import process_pool as process_pool
+from .core.interruption import Interrupted as Interrupted
+from .core.photometry import Flux as Flux
+from .core.photometry import MissedFlux as MissedFlux
 from .core.progress import Progress as Progress
 from .core.progress import show_progress as show_progress
 from .core.results import Result as Result
 from .errors import LumitreeError as LumitreeError
 from .errors import LumitreeWarning as LumitreeWarning
+from .exports.blender_extension import (
+    BlenderExtensionResult as BlenderExtensionResult,
+)
+from .exports.blender_extension import (
+    blender_extension as blender_extension,
+)
+from .exports.export import ExportResult as ExportResult
+from .exports.export import export as export
 from .fit.bake import bake as bake
 from .fit.bake import refine as refine
 from .fit.bake_network import (
@@ -23,11 +33,6 @@ from .fit.bake_network import (
 from .fit.bake_network import (
     train as train,
 )
-from .fit.catalogue.bake_many import bake_many as bake_many
-from .fit.catalogue.collect import collect as collect
-from .fit.catalogue.record import BakedLamp as BakedLamp
-from .fit.catalogue.result import BakeManyResult as BakeManyResult
-from .fit.catalogue.result import CollectResult as CollectResult
 from .fit.config import BakeConfig as BakeConfig
 from .fit.config import NetworkConfig as NetworkConfig
 from .fit.octree.config import OctreeConfig as OctreeConfig
@@ -45,6 +50,10 @@ from .lamp.loading import load_luminaire as load_luminaire
 from .lamp.luminaire import Luminaire as Luminaire
 from .lamp.scene_shapes import SceneShape as SceneShape
 from .lamp.source import LuminaireSource as LuminaireSource
+from .many.bake_many import bake_many as bake_many
+from .many.bake_many import collect as collect
+from .many.result import BakedLamp as BakedLamp
+from .many.result import BakeManyResult as BakeManyResult
 from .measure.evaluate import EvaluateResult as EvaluateResult
 from .measure.evaluate import evaluate as evaluate
 from .measure.glare import Glare as Glare
@@ -67,25 +76,15 @@ from .measure.photometry.photometry import (
 from .measure.photometry.photometry import (
     photometry as photometry,
 )
-from .output.blender.extension_archive import (
-    BlenderExtensionResult as BlenderExtensionResult,
-)
-from .output.blender.extension_archive import (
-    blender_extension as blender_extension,
-)
-from .output.export import ExportResult as ExportResult
-from .output.export import export as export
-from .output.preview import (
+from .measure.preview import (
     AssetPreviewResult as AssetPreviewResult,
 )
-from .output.preview import (
+from .measure.preview import (
     PreviewResult as PreviewResult,
 )
-from .output.preview import (
+from .measure.preview import (
     preview as preview,
 )
-from .output.viewer.view import ViewResult as ViewResult
-from .output.viewer.view import view as view
 from .rendering.asset_cache import load as load
 from .rendering.mixture import MixResult as MixResult
 from .rendering.mixture import mix as mix
@@ -95,6 +94,6 @@ from .rendering.plugins.register import register as register
 from .rendering.plugins.register import shape as shape
 from .rendering.render import RenderResult as RenderResult
 from .rendering.render import render as render
-from .trace.flux_figures import Flux as Flux
-from .trace.flux_figures import MissedFlux as MissedFlux
 from .trace.light_field_config import LightFieldConfig as LightFieldConfig
+from .viewer.view import ViewResult as ViewResult
+from .viewer.view import view as view

@@ -10,6 +10,15 @@ from benchmarks.rival_methods.figures import (
     figures,
 )
 from benchmarks.rival_methods.method import Method, TimedImage, extend, opened_run
+from lumitree.asset.materials import (
+    Dielectric,
+    Diffuse,
+    Mask,
+    Principled,
+    RoughPlastic,
+    ThinDielectric,
+    TwoSided,
+)
 from support.lamps import AREA, GLASS, sphere
 
 METAL = (
@@ -113,26 +122,26 @@ def test_denoised_images_have_less_noise(mi, tmp_path):
 @pytest.mark.parametrize(
     ("material", "expected"),
     [
-        ({"type": "diffuse", "reflectance": 0.5}, {"type": "matte", "kd": [0.5] * 3}),
+        (Diffuse(reflectance=0.5), {"type": "matte", "kd": [0.5] * 3}),
         (
-            {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0},
+            Dielectric(int_ior=1.5, ext_ior=1.0),
             {"type": "glass", "kr": [1.0] * 3, "kt": [1.0] * 3, "interiorior": 1.5},
         ),
-        ({"type": "thindielectric", "int_ior": 1.5, "ext_ior": 1.0}, {"type": "archglass"}),
+        (ThinDielectric(int_ior=1.5, ext_ior=1.0), {"type": "archglass"}),
         (
-            {"type": "mask", "opacity": 0.25, "nested": [{"type": "diffuse"}]},
+            Mask(opacity=0.25, nested=(Diffuse(),)),
             {"type": "mix", "amount": 0.25, "material1": "x_clear", "material2": "x_0"},
         ),
         (
-            {"type": "twosided", "nested": [{"type": "diffuse", "reflectance": 0.5}]},
+            TwoSided(nested=(Diffuse(reflectance=0.5),)),
             {"type": "matte", "kd": [0.5] * 3},
         ),
         (
-            {"type": "roughplastic", "diffuse_reflectance": 0.3, "int_ior": 1.6, "ext_ior": 1.0},
+            RoughPlastic(diffuse_reflectance=0.3, int_ior=1.6, ext_ior=1.0),
             {"type": "glossy2", "kd": [0.3] * 3, "index": 1.6, "uroughness": 0.1},
         ),
         (
-            {"type": "principled", "base_color": [0.2, 0.4, 0.6], "roughness": 0.5, "eta": 1.4},
+            Principled(base_color=(0.2, 0.4, 0.6), roughness=0.5, eta=1.4),
             {"type": "glossy2", "kd": [0.2, 0.4, 0.6], "index": 1.4, "vroughness": 0.25},
         ),
     ],

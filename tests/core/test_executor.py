@@ -1,4 +1,4 @@
-"""Lists of independent tasks on an executor."""
+"""Lists of independent tasks on executors: any, processes of this machine, and Dask's."""
 
 import multiprocessing
 import os
@@ -11,13 +11,21 @@ import time
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from lumitree._version import __version__
-from lumitree.core.executor import _run, check_executor, run_tasks, tasks_at_once
-from lumitree.core.files import WriteError
-from lumitree.core.process_pool import process_pool
-from lumitree.core.work_folder import BusyFolderError
+from lumitree.core.executor import (
+    _run,
+    check_executor,
+    dask_executor,
+    packed,
+    process_pool,
+    run_tasks,
+    tasks_at_once,
+    unpacked,
+)
+from lumitree.core.files import BusyFolderError, WriteError
 from lumitree.errors import LumitreeError, LumitreeWarning
 from support import executors
 from support.executors import LastFirst
@@ -126,12 +134,16 @@ class KilledWorker(Exception):  # noqa: N818
     """As Dask's."""
 
 
-@pytest.mark.parametrize("error", [BrokenExecutor("broken"), KilledWorker("a task")])
-def test_the_loss_of_a_worker_is_one_line(error):
-    expected = (
-        "^a worker ended unexpectedly, perhaps for lack of memory; 3 of 5 numbers are finished; "
-        "the same command continues$"
-    )
+@pytest.mark.parametrize(
+    ("error", "loss"),
+    [
+        (BrokenExecutor("broken"), "a worker ended unexpectedly, perhaps for lack of memory"),
+        (KilledWorker("a task"), "a worker ended unexpectedly, perhaps for lack of memory"),
+        (CancelledError(), "the connection to the workers was lost, or the tasks were cancelled"),
+    ],
+)
+def test_the_loss_of_a_worker_is_one_line(error, loss):
+    expected = f"^{loss}.*; 3 of 5 numbers are finished; the same command continues$"
     with pytest.raises(LumitreeError, match=expected):
         results(Lossy(error, 3), executors.double, range(5), total=5, in_order=True)
 
@@ -139,7 +151,7 @@ def test_the_loss_of_a_worker_is_one_line(error):
 def test_tasks_run_with_the_variant_that_was_set_where_they_were_submitted(monkeypatch):
     """What a worker keeps from an earlier task is of that variant."""
     loaded = []
-    monkeypatch.setattr("lumitree.core.executor.load_mitsuba", loaded.append)
+    monkeypatch.setattr("lumitree.core.backend.load_mitsuba", loaded.append)
     # As after a task that has used it.
     monkeypatch.setitem(sys.modules, "mitsuba", sys.modules.get("mitsuba"))
     for variant in ("llvm_ad_spectral", "llvm_ad_rgb", None):
@@ -207,11 +219,8 @@ def _task(*arguments):
 
 SCRIPT = """
 import sys
-from lumitree.core.executor import run_tasks
-from lumitree.core.interrupt import interruptible
-from lumitree.core.interrupt import Interrupted
-from lumitree.core.process_pool import process_pool
-from lumitree.core.system import num_cores
+from lumitree.core.executor import process_pool, run_tasks
+from lumitree.core.interruption import interruptible
 from support import executors
 
 if __name__ == "__main__":
@@ -272,7 +281,7 @@ def test_a_signal_to_all_processes_ends_them(tmp_path):
     _, error = process.communicate(timeout=LONG)
     wait_for_end(workers)
     assert error.count("lumitree: stopping ...") == 1
-    assert error.rstrip().splitlines()[-1].startswith("lumitree.core.interrupt.Interrupted")
+    assert error.rstrip().splitlines()[-1].startswith("lumitree.core.interruption.Interrupted")
     assert len(list((tmp_path / "tasks").iterdir())) == 2
 
 
@@ -284,6 +293,84 @@ def test_workers_end_with_a_parent_that_is_killed(tmp_path):
     wait_for_end(workers)
 
 
-def test_lost_connections_are_said_to_be_that():
-    with pytest.raises(LumitreeError, match=r"^the connection to the workers was lost, or"):
-        results(Lossy(CancelledError(), 1), executors.double, range(5), total=5, in_order=True)
+def test_values_are_unpacked():
+    value = {"a": (1, "b"), "c": np.arange(3)}
+    found = unpacked(packed(value, "the scene", "a path"))
+    assert found["a"] == value["a"]
+    assert np.array_equal(found["c"], value["c"])
+    assert packed(value, "the scene", "a path") == packed(value, "the scene", "a path")
+
+
+@pytest.mark.parametrize(
+    "kind", ["ScalarTransform4f", "ScalarProjectiveTransform4f", "Transform4f", "ScalarTransform3f"]
+)
+def test_transforms_are_unpacked(mi, kind):
+    transform = getattr(mi, kind)().translate([1, 2, 3][: int(kind[-2]) - 1])
+    transform = transform @ type(transform)().scale(2.5)
+    (found,) = unpacked(packed([transform], "the scene", "a path"))
+    assert type(found) is type(transform)
+    assert np.array_equal(np.array(found.matrix), np.array(transform.matrix))
+    inverse = np.array(transform.inverse().matrix)
+    assert np.array(found.inverse().matrix) == pytest.approx(inverse, rel=1e-5, abs=1e-6)
+
+
+def test_arrays_and_points_of_mitsuba_are_unpacked(mi):
+    value = [mi.ScalarPoint3f(1, 2, 3), mi.TensorXf(np.ones((2, 3)))]
+    point, tensor = unpacked(packed(value, "the scene", "a path"))
+    assert list(point) == [1, 2, 3]
+    assert np.array(tensor).tolist() == np.ones((2, 3)).tolist()
+
+
+def test_other_objects_are_refused(mi):
+    expected = r"^the scene cannot be sent to other processes \(.+\); give a path$"
+    for value in (lambda: 0, mi.load_dict({"type": "sphere"})):
+        with pytest.raises(LumitreeError, match=expected):
+            packed({"a": value}, "the scene", "a path")
+
+
+# Its event loops leave sockets open.
+DASK = pytest.mark.filterwarnings("ignore::ResourceWarning")
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    distributed = pytest.importorskip("distributed")
+    options = {"processes": False, "protocol": "tcp://", "dashboard_address": ":0"}
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, **options) as made:
+        yield made
+
+
+@DASK
+def test_dask_gives_results_errors_and_warnings(cluster):
+    executors.calls.clear()
+    with dask_executor(cluster.scheduler_address) as executor:
+        expected = [(index, 2 * index) for index in range(20)]
+        assert results(executor, executors.double, range(20), in_order=True) == expected
+        with pytest.warns(LumitreeWarning, match=r"^only 4$"):
+            results(executor, executors.warn, [4, 4])
+        with pytest.raises(LumitreeError, match=r"^no 3$"):
+            results(executor, executors.fail, [3])
+        # Equal tasks run twice: they may write files.
+        for _ in range(2):
+            results(executor, executors.count, [1, 1, 1])
+    assert executors.calls == [1] * 6
+
+
+@DASK
+def test_dask_without_a_scheduler_or_workers_is_one_line(cluster):
+    import dask
+
+    with dask.config.set({"distributed.comm.timeouts.connect": "0.1s"}):
+        for address in ("tcp://127.0.0.1:9", "nowhere at all"):
+            with (
+                pytest.raises(LumitreeError, match=f"^no Dask scheduler answers at {address} "),
+                dask_executor(address),
+            ):
+                pass
+    cluster.scale(0)
+    cluster.sync(cluster._correct_state)
+    with (
+        pytest.raises(LumitreeError, match="has no workers; start some with `dask worker"),
+        dask_executor(cluster.scheduler_address),
+    ):
+        pass

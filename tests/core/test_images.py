@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from lumitree.core.images import (
+    check_image_name,
     linear_from_srgb,
     read_comment,
     read_exr,
@@ -95,3 +96,33 @@ def test_damaged_exr_files_are_refused_or_read(layers):
         path.write_bytes(data if round_ % 3 else damaged(good, rng))
         outcomes.add(refused(check))
     assert outcomes == {True, False}
+
+
+def test_exr_round_trip(tmp_path):
+    random = np.random.default_rng(0)
+    planes = {
+        "RGB": random.normal(size=(5, 7, 3)).astype(np.float32),
+        "geometric": random.random((5, 7), np.float32),
+    }
+    write_exr(tmp_path / "a.exr", planes)
+    read = read_exr(tmp_path / "a.exr")
+    assert read.keys() == planes.keys()
+    assert all(np.array_equal(read[name], planes[name]) for name in planes)
+
+
+def test_bad_exr_files_are_refused(tmp_path):
+    with pytest.raises(LumitreeError, match="does not exist"):
+        read_exr(tmp_path / "no.exr")
+    (tmp_path / "text.exr").write_text("not an image")
+    with pytest.raises(LumitreeError, match="not a readable OpenEXR"):
+        read_exr(tmp_path / "text.exr")
+    write_exr(tmp_path / "nan.exr", {"RGB": np.full((2, 2, 3), np.nan, np.float32)})
+    with pytest.raises(LumitreeError, match="NaN"):
+        read_exr(tmp_path / "nan.exr")
+
+
+def test_image_names():
+    for name in ("a.png", "folder/A.EXR"):
+        check_image_name(name)
+    with pytest.raises(LumitreeError, match=r"neither \.exr"):
+        check_image_name("a.jpg")

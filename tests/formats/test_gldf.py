@@ -193,14 +193,14 @@ def test_luminous_faces_emit_the_flux(made):
     model = l3d(structure(part(light(), lights)), box_obj=text)
     geometry = lumitree.load(made(model=model)).geometry
     lit = [(shape, mesh) for shape, mesh in zip(geometry.shapes, geometry.meshes(), strict=True)
-           if shape["radiance"] is not None]  # fmt: skip
+           if shape.radiance is not None]  # fmt: skip
     assert len(lit) == 2
     found = {}
     for shape, mesh in lit:
         corners = mesh["vertices"][mesh["faces"]]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
         axis = tuple(np.round(normals.sum(axis=0) / np.linalg.norm(normals.sum(axis=0))).tolist())
-        found[axis] = (np.linalg.norm(normals, axis=1).sum(), shape["radiance"])
+        found[axis] = (np.linalg.norm(normals, axis=1).sum(), shape.radiance)
     down, right = found[0, -1, 0], found[1, 0, 0]
     assert down[0] == pytest.approx(0.125, rel=1e-5)
     assert right[0] == pytest.approx(0.025, rel=1e-5)
@@ -213,7 +213,7 @@ def test_an_object_without_luminous_faces_emits_itself(made):
     circle = light(at=(0, 0, -0.01), shape='<Circle diameter="0.1"/>')
     geometry = lumitree.load(made(model=l3d(structure(part(circle))))).geometry
     lit = [mesh for shape, mesh in zip(geometry.shapes, geometry.meshes(), strict=True)
-           if shape["radiance"] is not None]  # fmt: skip
+           if shape.radiance is not None]  # fmt: skip
     assert len(lit) == 1
     # 0.2 % of its diameter in front of it.
     assert lit[0]["vertices"][:, 1] == pytest.approx(-0.0102)

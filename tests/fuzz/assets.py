@@ -14,7 +14,7 @@ from lumitree.asset.array_stream import compressed, decompressed
 from lumitree.asset.asset import light_field_asset
 from lumitree.asset.field_bytes import field_layouts
 from lumitree.asset.file import load
-from lumitree.asset.geometry_bytes import _layouts as geometry_layouts
+from lumitree.asset.geometry_file import _layouts as geometry_layouts
 from lumitree.asset.light_field import TracedPaths
 from lumitree.asset.light_field_bytes import _counts
 from lumitree.asset.light_field_bytes import _layouts as light_layouts
@@ -47,7 +47,7 @@ def _drafts():
     whole = with_geometry(small_geometry())
     assets = (
         plain,
-        random_asset(1, tree_depth=2, l_max=4, law="exponential", gain=(0.5, 1.0, 2.0)),
+        random_asset(1, tree_depth=2, l_max=4, law="exponential", light_factors=(0.5, 1.0, 2.0)),
         dataclasses.replace(plain, light_field=light),
         light_field_asset(random_light_field(2, resolution=8), plain.frame, "test", spectrum),
         light_field_asset(inside, plain.frame, "test"),

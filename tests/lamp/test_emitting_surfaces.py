@@ -38,7 +38,7 @@ WHITE = np.full((4, 2), 0.25)  # All corners at one white texel
 
 
 def bare_watts(lamp, count=1 << 17):
-    from lumitree.trace.lamp_rays import LampRays
+    from lumitree.trace.light_paths import LampRays
 
     return LampRays(lamp).bare_flux(count, 1) * lamp.frame.scale**2
 

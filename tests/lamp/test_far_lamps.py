@@ -173,7 +173,7 @@ def test_a_far_geometry_is_stored_with_its_origin(mi, tmp_path):
 
 
 def test_an_asset_is_exported_near_the_origin(mi):
-    from lumitree.output.geometry_meshes import geometry_meshes
+    from lumitree.exports.surfaces import geometry_meshes
 
     near = with_geometry(small_geometry())
     assert near.near_origin is near

@@ -41,7 +41,7 @@ def write(folder, place):
 def test_a_lamp_and_its_geometry(calls, tmp_path):
     lamp = load_luminaire(write(tmp_path, "1,0,0"))
     geometry = stored_geometry(lamp)
-    assert [shape["type"] for shape in geometry.shapes] == ["sphere"]
+    assert [shape.type for shape in geometry.shapes] == ["sphere"]
     assert calls == {"parse_file": 1, "instantiate": 1}
 
 

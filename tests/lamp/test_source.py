@@ -36,7 +36,7 @@ def lamp(mi, tmp_path):
 
 
 def capture(source, folder, **settings):
-    from lumitree.trace.capture import capture as capture_views
+    from lumitree.trace.cameras import capture as capture_views
 
     settings = {"views": 2, "resolution": 24, "spp": 16, **settings}
     return list(capture_views(load_luminaire(source), folder, **settings).views())

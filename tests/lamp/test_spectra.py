@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from lumitree.asset.materials import Diffuse
 from lumitree.lamp.loading import load_luminaire
 from lumitree.lamp.stored_geometry import stored_geometry
 from support.lamps import scene, sphere
@@ -35,7 +36,7 @@ def test_radiance_is_stored_as_what_the_scene_emits(mi, tmp_path, value):
     si.wi = mi.Vector3f(0, 0, 1)
     emitted = np.ravel(loaded.scene.shapes()[0].emitter().eval(si))
     (shape,) = stored_geometry(loaded).shapes
-    assert shape["radiance"] == pytest.approx(emitted, rel=1e-6)
+    assert shape.radiance == pytest.approx(emitted, rel=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -46,14 +47,15 @@ def test_reflectances_are_stored_as_colours(mi, tmp_path, bsdf, name):
     loaded = lamp(tmp_path, material + area('value="1"'))
     texture = mi.traverse(loaded.scene.shapes()[0].bsdf())[f"{name}.value"]
     (stored,) = stored_geometry(loaded).materials
-    assert stored[name] == pytest.approx(np.ravel(texture), rel=1e-6)
-    assert np.ptp(stored[name]) > 0.05
+    colour = getattr(stored, name)
+    assert colour == pytest.approx(np.ravel(texture), rel=1e-6)
+    assert np.ptp(colour) > 0.05
 
 
 def test_a_constant_reflectance_is_a_number(mi, tmp_path):
     material = '<bsdf type="diffuse"><spectrum name="reflectance" value="0.25"/></bsdf>'
     (stored,) = stored_geometry(lamp(tmp_path, material + area('value="1"'))).materials
-    assert stored == {"type": "diffuse", "reflectance": 0.25}
+    assert stored == Diffuse(reflectance=0.25)
 
 
 def test_an_index_of_refraction_may_exceed_one(mi, tmp_path):
@@ -61,5 +63,5 @@ def test_an_index_of_refraction_may_exceed_one(mi, tmp_path):
     k = '<spectrum name="k" value="400:3, 700:4"/>'
     loaded = lamp(tmp_path, f'<bsdf type="conductor">{eta}{k}</bsdf>' + area('value="1"'))
     (stored,) = stored_geometry(loaded).materials
-    assert min(stored["k"]) > 2
-    assert max(stored["eta"]) > 1.6
+    assert min(stored.k) > 2
+    assert max(stored.eta) > 1.6

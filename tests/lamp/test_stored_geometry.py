@@ -6,8 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from lumitree.asset.asset import NO_GAIN
+from lumitree.asset.asset import UNIT_FACTORS
 from lumitree.asset.file import load, save
+from lumitree.asset.geometry import MeshShape
+from lumitree.asset.materials import Texture
 from lumitree.core.device import on_device
 from lumitree.core.mitsuba_meshes import make_mesh
 from lumitree.errors import LumitreeError
@@ -112,7 +114,9 @@ def placed_shapes(mi, geometry, scale=1.0):
     from lumitree.rendering.plugins.geometry_shapes import geometry_shapes
 
     placed = SimpleNamespace(
-        asset=SimpleNamespace(gain=NO_GAIN), numbers=[scale], traces_straight_light=True
+        asset=SimpleNamespace(light_factors=UNIT_FACTORS),
+        numbers=[scale],
+        traces_straight_light=True,
     )
     straight = SimpleNamespace(densities=itertools.repeat(1.0))
     lamp = SimpleNamespace(gain=mi.Color3f(1), placed=placed, straight=straight)
@@ -140,7 +144,7 @@ def test_radiance_is_stored(luminaire):
     texture = TEXTURE.replace("reflectance", "radiance")
     image = AREA.replace('<rgb name="radiance" value="3,2,1"/>', texture)
     geometry = stored_geometry(luminaire(cube("other", 0.2, (2, 0, 0), image)))
-    assert sorted(str(shape["radiance"])[:4] for shape in geometry.shapes) == ["[3.0", "{'im"]
+    assert {type(shape.radiance) for shape in geometry.shapes} == {tuple, Texture}
     assert geometry.images[0].shape == (5, 3, 3)
     assert geometry.images[0].dtype == np.uint8
 
@@ -153,8 +157,8 @@ def test_meshes_of_one_material_are_joined(luminaire):
         cube("c", 0.1, (3, 0, 0), metal),
     )
     geometry = stored_geometry(lamp)
-    assert [shape["type"] for shape in geometry.shapes] == ["mesh", "mesh", "sphere"]
-    assert [shape.get("faces") for shape in geometry.shapes] == [24, 12, None]
+    assert [shape.faces for shape in geometry.shapes[:2]] == [24, 12]
+    assert [shape.type for shape in geometry.shapes[2:]] == ["sphere"]
     assert geometry.num_triangles == 36
 
 
@@ -181,19 +185,19 @@ def test_media_that_scatter_are_stored(mi, luminaire, tmp_path):
     )
     save(with_geometry(stored_geometry(lamp), lamp.frame), tmp_path / "lamp.lumitree")
     geometry = load(tmp_path / "lamp.lumitree").geometry
-    even, narrow, again = (shape["interior"] for shape in geometry.shapes if "interior" in shape)
-    assert even["absorption"] == pytest.approx([1.5, 3, 0.75], rel=1e-6)
-    assert even["scattering"] == pytest.approx([0.5, 1, 0.25], rel=1e-6)
-    assert (even["anisotropy"], narrow["anisotropy"]) == (0, pytest.approx(0.6))
+    even, narrow, again = (shape.interior for shape in geometry.shapes if shape.interior)
+    assert even.absorption == pytest.approx([1.5, 3, 0.75], rel=1e-6)
+    assert even.scattering == pytest.approx([0.5, 1, 0.25], rel=1e-6)
+    assert (even.anisotropy, narrow.anisotropy) == (0, pytest.approx(0.6))
     assert again == narrow
     shapes = placed_shapes(mi, geometry, 0.5)
     first, *others = (s.interior_medium() for s in shapes if s.interior_medium() is not None)
     assert others[0] is others[1]
     for medium, g in ((first, 0), (others[0], 0.6)):
         stored = stored_medium(medium)
-        assert stored["absorption"] == pytest.approx([3, 6, 1.5], rel=1e-6)
-        assert stored["scattering"] == pytest.approx([1, 2, 0.5], rel=1e-6)
-        assert stored["anisotropy"] == pytest.approx(g)
+        assert stored.absorption == pytest.approx([3, 6, 1.5], rel=1e-6)
+        assert stored.scattering == pytest.approx([1, 2, 0.5], rel=1e-6)
+        assert stored.anisotropy == pytest.approx(g)
 
 
 SCATTERING = GLASS + MEDIUM.format("interior", 1, 0.5)
@@ -254,7 +258,7 @@ def test_mirrored_instances_keep_their_outside(mi, luminaire, tmp_path, normals)
         "</transform></shape>",
     )
     found = stored_geometry(lamp)
-    (index,) = (i for i, each in enumerate(found.shapes) if each["type"] == "mesh")
+    (index,) = (i for i, each in enumerate(found.shapes) if isinstance(each, MeshShape))
     mesh = found.meshes()[index]
     a, b, c = mesh["vertices"][mesh["faces"][0]]
     assert np.cross(b - a, c - a) == pytest.approx([0, 0, 1])

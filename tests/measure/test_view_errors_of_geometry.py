@@ -5,7 +5,7 @@ import pytest
 import lumitree
 from lumitree.lamp.loading import load_luminaire
 from lumitree.measure.view_errors import evaluate_views
-from lumitree.trace.capture import capture
+from lumitree.trace.cameras import capture
 from support.lamps import AREA, scene, sphere
 from support.tiny_bakes import bake_config
 

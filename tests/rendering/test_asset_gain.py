@@ -13,9 +13,9 @@ from lumitree.core.photometry import colour_temperature, luminance
 from lumitree.lamp.stored_geometry import stored_geometry
 from lumitree.measure.irradiance import asset_irradiance
 from lumitree.measure.photometry.far_field import asset_source, measure
-from lumitree.output.viewer.packing import pack_asset
 from lumitree.rendering.asset_flux import asset_watts, with_light
 from lumitree.rendering.asset_views import baked_image
+from lumitree.viewer.packing import pack_asset
 from support.fields import random_asset
 from support.lamps import AREA, lamp_of, sphere
 from support.light_fields import random_light_field
@@ -30,7 +30,7 @@ def asset(request):
 
 
 def brighter(asset):
-    return dataclasses.replace(asset, gain=GAIN)
+    return dataclasses.replace(asset, light_factors=GAIN)
 
 
 def test_every_use_of_an_asset_has_it(mi, asset):
@@ -128,5 +128,7 @@ def test_flux_and_temperature_that_are_asked_for(mi, asset):
     assert luminance(watts) == pytest.approx(800, rel=exact)
     assert colour_temperature(watts)[0] == pytest.approx(2700, rel=0.001 + exact)
     dim = with_light(warm, 8.0, None)
-    np.testing.assert_allclose(np.array(dim.gain), np.array(warm.gain) / 100, rtol=exact)
+    np.testing.assert_allclose(
+        np.array(dim.light_factors), np.array(warm.light_factors) / 100, rtol=exact
+    )
     assert with_light(asset, None, None) is asset

@@ -18,7 +18,6 @@ from test_geometry_appearance import (
 
 import lumitree
 from lumitree.asset.asset import light_field_asset
-from lumitree.asset.geometry_media import scattering_sides
 from lumitree.core.frames import rotation, similarity
 from lumitree.fit.light_field.bake import bake_light_field
 from lumitree.lamp.loading import load_luminaire
@@ -112,7 +111,7 @@ def seen_alone():
 def test_opal_glass_is_seen_as_it_is(make, name):
     """Pixel by pixel and as a whole: by what the lamp's shapes emit, and by nothing else."""
     lamp, asset = make(LAMPS[name])
-    assert any(map(scattering_sides, asset.geometry.shapes))
+    assert any(shape.scatters for shape in asset.geometry.shapes)
     ours = passes(seen_alone() | baked(asset), spp=1024, **DEEP)
     theirs = passes(seen_alone() | explicit(lamp), spp=1024, seed=500, **DEEP)
     assert theirs.mean() > 0.1

@@ -1,5 +1,6 @@
 """What an asset may have, Mitsuba makes, and gives values of that are finite and not negative."""
 
+import dataclasses
 import json
 import os
 import subprocess
@@ -9,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lumitree.asset.geometry import AssetGeometry
+from lumitree.asset.geometry import AssetGeometry, MeshShape
 from lumitree.rendering.integrators import default_integrator
 from lumitree.rendering.placement import Placement
 from lumitree.rendering.scene import PlacedLuminaire, place_luminaires
@@ -50,8 +51,7 @@ def test_geometry_of_many_materials_renders(mi):
     chosen = [usable[index] for index in RANDOM.permutation(len(usable))[:100]]
     square = np.array([[-0.09, -0.09, 0], [0.09, -0.09, 0], [0.09, 0.09, 0.05], [-0.09, 0.09, 0]])
     at = [[0.2 * (i % 10) - 0.9, 0.2 * (i // 10) - 0.9, 0] for i in range(len(chosen))]
-    shape = {"type": "mesh", "vertices": 4, "faces": 2, "normals": False}
-    shape |= {"texcoords": True, "colours": True}
+    shape = MeshShape(material=0, vertices=4, faces=2, texcoords=True, colours=True)
     count = len(chosen)
     geometry = AssetGeometry(
         vertices=np.concatenate([square + place for place in at]).astype(np.float32),
@@ -61,7 +61,9 @@ def test_geometry_of_many_materials_renders(mi):
         faces=np.tile(np.array([[0, 1, 2], [0, 2, 3]], np.uint32), (count, 1)),
         images=IMAGES,
         shapes=tuple(
-            {**shape, "material": i, "flipped": bool(i % 2), "radiance": 1 if i % 3 else None}
+            dataclasses.replace(
+                shape, material=i, flipped=bool(i % 2), radiance=1 if i % 3 else None
+            )
             for i in range(count)
         ),
         materials=tuple(chosen),

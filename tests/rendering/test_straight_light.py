@@ -353,7 +353,7 @@ def small(mi, tmp_path_factory):
 def without_emitters(asset):
     """An asset whose geometry is black, and which has the light field still."""
     shapes = tuple(
-        each if each["radiance"] is None else {**each, "radiance": [0.0, 0.0, 0.0]}
+        each if each.radiance is None else dataclasses.replace(each, radiance=(0.0, 0.0, 0.0))
         for each in asset.geometry.shapes
     )
     return dataclasses.replace(asset, geometry=dataclasses.replace(asset.geometry, shapes=shapes))

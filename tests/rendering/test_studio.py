@@ -70,5 +70,5 @@ def test_a_field_is_seen_before_the_backdrop(mi):
     assert (picture[0, 0] == BACKDROP).all()
     # The exposure brings the field's radiance to 0.9 of white, and the lamp is shown brighter.
     assert (picture[8, 8] == 255).all()
-    dim = dataclasses.replace(field, gain=(0.1, 0.1, 0.1))
+    dim = dataclasses.replace(field, light_factors=(0.1, 0.1, 0.1))
     assert (asset_photographs(dim, [POSE], 2.0, 16, 4, 0.1)[0][8, 8] < 255).all()

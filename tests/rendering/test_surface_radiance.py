@@ -5,23 +5,28 @@ import dataclasses
 import numpy as np
 import pytest
 
+from lumitree.asset.geometry import UnitShape
+from lumitree.asset.materials import Diffuse
 from lumitree.core.frames import LocalFrame
-from support.geometry_assets import NOTHING, small_geometry, with_geometry
+from support.geometry_assets import NOTHING, matrix, small_geometry, with_geometry
 
 
 def plate_below_a_sphere(gain=(1.0, 1.0, 1.0)):
     """A grey plate at y = -0.5, seen from above, below an emissive sphere of radius 0.1 at 0."""
     plate = np.array([[1.0, 0, 0, 0], [0, 0, 1, -0.5], [0, -1, 0, 0], [0, 0, 0, 1]])
     shapes = (
-        {"type": "sphere", "to_world": np.diag([0.1, 0.1, 0.1, 1]).tolist(), "material": 1,
-         "radiance": [3.0, 2, 1], "flipped": False},
-        {"type": "rectangle", "to_world": plate.tolist(), "material": 0, "radiance": None,
-         "flipped": False},
-    )  # fmt: skip
-    materials = ({"type": "diffuse", "reflectance": 0.4}, {"type": "diffuse", "reflectance": 0.0})
+        UnitShape(
+            type="sphere",
+            to_world=matrix(np.diag([0.1, 0.1, 0.1, 1])),
+            material=1,
+            radiance=(3.0, 2, 1),
+        ),
+        UnitShape(type="rectangle", to_world=matrix(plate), material=0),
+    )
+    materials = (Diffuse(reflectance=0.4), Diffuse(reflectance=0.0))
     geometry = small_geometry(shapes=shapes, materials=materials, **NOTHING)
     asset = with_geometry(geometry, LocalFrame(np.ones(3), np.eye(4)))
-    return dataclasses.replace(asset, gain=gain)
+    return dataclasses.replace(asset, light_factors=gain)
 
 
 def test_radiosity_of_a_plate_is_that_of_the_analytic_irradiance(mi):
@@ -44,7 +49,7 @@ def test_radiosity_of_a_plate_is_that_of_the_analytic_irradiance(mi):
 
 
 def test_an_emitter_sends_out_its_radiance_at_its_front_alone(mi):
-    from lumitree.output.geometry_meshes import geometry_meshes, meshed
+    from lumitree.exports.surfaces import geometry_meshes, meshed
     from lumitree.rendering.surface_radiance import vertex_radiance
 
     asset = plate_below_a_sphere()

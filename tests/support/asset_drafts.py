@@ -7,7 +7,7 @@ import numpy as np
 
 from lumitree.asset.field_bytes import field_description, field_tensors
 from lumitree.asset.file import _digest
-from lumitree.asset.geometry_bytes import geometry_tensors
+from lumitree.asset.geometry_file import geometry_tensors
 from lumitree.asset.light_field_bytes import light_field_description, light_field_tensors
 from lumitree.asset.spectrum import spectrum_description, spectrum_tensors
 from support.stored_arrays import change_field_arrays
@@ -43,7 +43,7 @@ class Draft:
             ("law", json.dumps(asset.law)),
             ("activation", '"sigmoid"'),
             ("max_radiance", str(asset.max_radiance)),
-            ("gain", str(list(asset.gain))),
+            ("gain", str(list(asset.light_factors))),
             ("field", json.dumps(field_description(asset))),
             ("half_extents", str(asset.frame.half_extents.tolist())),
             ("world_from_proxy", str(asset.frame.world_from_local.tolist())),

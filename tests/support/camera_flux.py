@@ -5,7 +5,7 @@ import numpy as np
 from lumitree.core.photometry import luminance
 from lumitree.core.seeds import Purpose
 from lumitree.trace import flux
-from lumitree.trace.tracing import PATH_DEPTH, path_integrator
+from lumitree.trace.cameras import PATH_DEPTH, path_integrator
 
 
 def flux_by_camera_paths(luminaire, num_paths, *, integrator=None, seed=0):

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.files import WriteError
-from lumitree.core.interrupt import deferred_interrupt
+from lumitree.core.interruption import deferred_interrupt
 from lumitree.errors import LumitreeError, LumitreeWarning
 from support.variant import VARIANT
 

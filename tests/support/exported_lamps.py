@@ -17,7 +17,7 @@ GAIN = (2.0, 1.0, 0.5)
 def lamp(name: str = "lamp", gain: tuple[float, float, float] = GAIN, count: int = 20) -> Asset:
     """A lamp of random intensities, with a gain, that its frame turns, scales and moves."""
     field = random_light_field(1, depth=3, resolution=8, count=count)
-    return dataclasses.replace(light_field_asset(field, FRAME, name), gain=gain)
+    return dataclasses.replace(light_field_asset(field, FRAME, name), light_factors=gain)
 
 
 def beam(mi, direction: tuple[float, float, float], colour=(1.0, 1.0, 1.0)) -> Asset:

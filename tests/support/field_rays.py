@@ -38,7 +38,7 @@ class FieldRays:
     def draw(self, count, stream, wanted, light_paths_per_ray=0):
         import drjit as dr
 
-        from lumitree.fit.octree.ray_source import Rays
+        from lumitree.fit.octree.rays import Rays
 
         mi, seed = self._mi, stream.seed(0)
         origin, direction = random_rays(mi, count, seed)
@@ -74,7 +74,7 @@ class FieldRays:
         return rays.origin, rays.direction, rays.transmittance
 
     def draw_pairs(self, count, stream, paths):
-        from lumitree.fit.octree.ray_source import RayPairs
+        from lumitree.fit.octree.rays import RayPairs
 
         origin, direction = random_rays(self._mi, count, stream.seed(0))
         radiance, through, _ = self._truth.integrate(origin, direction)

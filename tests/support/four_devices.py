@@ -11,9 +11,8 @@ import jax
 import numpy as np
 
 from lumitree.core.dataset import Dataset
-from lumitree.fit.network.devices import ray_mesh
-from lumitree.fit.network.ray_set import load_rays
-from lumitree.fit.network.step import initial_state, make_step, state_sharding
+from lumitree.fit.network.rays import load_rays
+from lumitree.fit.network.step import initial_state, make_step, ray_mesh, state_sharding
 from support.sphere import TINY
 
 

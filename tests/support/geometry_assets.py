@@ -1,13 +1,30 @@
 """Small geometries of assets that several tests share."""
 
+import dataclasses
+
 import numpy as np
 
 from lumitree.asset.asset import Asset, light_field_asset
-from lumitree.asset.geometry import AssetGeometry
+from lumitree.asset.geometry import AssetGeometry, MeshShape, UnitShape
+from lumitree.asset.materials import (
+    Dielectric,
+    Diffuse,
+    Mask,
+    RoughConductor,
+    Texture,
+    TwoSided,
+)
 from lumitree.core.frames import LocalFrame
 from support.light_fields import random_light_field
 
-IDENTITY = np.eye(4).tolist()
+
+def matrix(values):
+    """A matrix as shapes and textures have it."""
+    return tuple(map(tuple, np.asarray(values, float).tolist()))
+
+
+IDENTITY = matrix(np.eye(4))
+TEXTURE = Texture(image=1, raw=False, filter_type="bilinear", wrap_mode="repeat", to_uv=IDENTITY)
 # Members of a geometry without meshes and images.
 NOTHING = {
     "vertices": np.zeros((0, 3), np.float32),
@@ -22,17 +39,7 @@ NOTHING = {
 def small_geometry(**changes) -> AssetGeometry:
     """A textured tetrahedron with colours of vertices, an emissive one and an emissive sphere."""
     random = np.random.default_rng(2)
-    texture = {
-        "image": 1,
-        "raw": False,
-        "filter_type": "bilinear",
-        "wrap_mode": "repeat",
-        "to_uv": IDENTITY,
-    }
-    mesh = {"type": "mesh", "vertices": 4, "faces": 4, "flipped": False}
-    full = {**mesh, "normals": True, "texcoords": True, "colours": True}
-    plain = {**mesh, "normals": False, "texcoords": False, "colours": False}
-    sphere = np.diag([0.2, 0.2, 0.2, 1])
+    opacity = dataclasses.replace(TEXTURE, image=0, raw=True)
     members = {
         "vertices": random.uniform(-0.5, 0.5, (8, 3)).astype(np.float32),
         "normals": random.normal(size=(4, 3)).astype(np.float32),
@@ -44,26 +51,20 @@ def small_geometry(**changes) -> AssetGeometry:
             random.integers(0, 256, (3, 2, 3), np.uint8),
         ),
         "shapes": (
-            {**full, "material": 0, "radiance": None},
-            {**plain, "material": 1, "radiance": [3.0, 2, 1]},
-            {
-                "type": "sphere",
-                "to_world": sphere.tolist(),
-                "material": 2,
-                "radiance": 2.5,
-                "flipped": True,
-            },
+            MeshShape(material=0, vertices=4, faces=4, normals=True, texcoords=True, colours=True),
+            MeshShape(material=1, radiance=(3.0, 2, 1), vertices=4, faces=4),
+            UnitShape(
+                type="sphere",
+                to_world=matrix(np.diag([0.2, 0.2, 0.2, 1])),
+                material=2,
+                radiance=2.5,
+                flipped=True,
+            ),
         ),
         "materials": (
-            {
-                "type": "mask",
-                "opacity": {**texture, "image": 0, "raw": True},
-                "nested": [
-                    {"type": "twosided", "nested": [{"type": "diffuse", "reflectance": texture}]}
-                ],
-            },
-            {"type": "roughconductor", "material": "Cr", "alpha": 0.2, "distribution": "ggx"},
-            {"type": "dielectric", "int_ior": 1.5, "ext_ior": "air"},
+            Mask(opacity=opacity, nested=(TwoSided(nested=(Diffuse(reflectance=TEXTURE),)),)),
+            RoughConductor(material="Cr", alpha=0.2, distribution="ggx"),
+            Dielectric(int_ior=1.5, ext_ior="air"),
         ),
         **changes,
     }

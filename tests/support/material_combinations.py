@@ -4,11 +4,24 @@ import itertools
 
 import numpy as np
 
-from lumitree.asset.materials import check_material
-from lumitree.asset.plugins import PLUGINS
-from lumitree.asset.textures import ImageFacts
+from lumitree.asset.materials import (
+    PLUGINS,
+    Dielectric,
+    Diffuse,
+    ImageFacts,
+    Mask,
+    MetallicRoughness,
+    Principled,
+    RoughConductor,
+    Texture,
+    TwoSided,
+    VertexColours,
+    check_material,
+    make_material,
+    parameter_kinds,
+)
 from lumitree.errors import LumitreeError
-from lumitree.lamp.metallic_roughness import METALLIC_ROUGHNESS
+from support.geometry_assets import matrix
 
 RANDOM = np.random.default_rng(0)
 IMAGES = (
@@ -18,20 +31,19 @@ IMAGES = (
     np.zeros((1, 1, 4), np.float32),
 )
 FACTS = [ImageFacts.of(image) for image in IMAGES]
-DIFFUSE, GLASS, METAL = {"type": "diffuse"}, {"type": "dielectric"}, {"type": "roughconductor"}
+DIFFUSE, GLASS, METAL = Diffuse(), Dielectric(), RoughConductor()
 # Texture coordinates and their scale, whose product is just accepted for 3 pixels.
 FAR, FARTHER = 3.5e4, 1e4
 
 
 def texture(image, raw=True, scale=3.0, filter_type="bilinear", wrap_mode="repeat"):
-    transform = np.diag([scale, scale, 1, 1]).tolist()
-    kinds = {"filter_type": filter_type, "wrap_mode": wrap_mode}
-    return {"image": image, "raw": raw, **kinds, "to_uv": transform}
+    to_uv = matrix(np.diag([scale, scale, 1, 1]))
+    return Texture(image=image, raw=raw, filter_type=filter_type, wrap_mode=wrap_mode, to_uv=to_uv)
 
 
 TEXTURES = [texture(index) for index in range(len(IMAGES))]
-TEXTURES += [texture(5, False), texture(6, False), {"attribute": "vertex_color"}]
-DEFAULTS = {
+TEXTURES += [texture(5, False), texture(6, False), VertexColours()]
+NEEDED = {
     "normalmap": {"normalmap": TEXTURES[4]},
     "bumpmap": {"bumpmap": TEXTURES[0]},
     "blendbsdf": {"weight": 0.5},
@@ -48,23 +60,23 @@ def values(kind):
     if kind.names:
         found += [min(kind.names), max(kind.names), "air", "bk7", "none"]
     if kind.colour is not None:
-        found += [[0, 0, 0], [kind.colour] * 3, [kind.colour, 0, kind.colour / 2]]
+        found += [(0, 0, 0), (kind.colour,) * 3, (kind.colour, 0, kind.colour / 2)]
     if kind.boolean:
         found += [True, False]
     return found + TEXTURES
 
 
 def nested(plugin):
-    """What a plugin may hold, alone and in pairs."""
-    alone = (DIFFUSE, GLASS, METAL, {"type": "principled", "spec_trans": 0.5})
-    layers = ({"type": "mask", "nested": [METAL]}, {"type": "twosided", "nested": [DIFFUSE]})
-    for count in PLUGINS[plugin].nested:
+    """What a plugin may modify, alone and in pairs."""
+    alone = (DIFFUSE, GLASS, METAL, Principled(spec_trans=0.5))
+    layers = (Mask(nested=(METAL,)), TwoSided(nested=(DIFFUSE,)))
+    for count in plugin.num_nested:
         yield from itertools.product((*alone, *layers), repeat=count) if count else ()
 
 
 def parameters(plugin):
     """No parameter, each value of each, and each pair of values of each pair."""
-    kinds = PLUGINS[plugin].parameters
+    kinds = parameter_kinds(plugin)
     single = [{name: value} for name, kind in kinds.items() for value in values(kind)]
     yield [{}, *single]
     yield [a | b for a, b in itertools.combinations(single, 2) if a.keys() != b.keys()]
@@ -74,20 +86,16 @@ def materials(count):
     """All materials; of those with two parameters, `count` alone unless it is 0."""
     pairs = []
     for name, plugin in PLUGINS.items():
-        if name == METALLIC_ROUGHNESS:
+        if plugin is MetallicRoughness:
             # A plugin in Python, which variants without compilation do not have.
             continue
-        base = {"type": name, **DEFAULTS.get(name, {})}
-        if max(plugin.nested):
-            base["nested"] = [DIFFUSE] * plugin.nested[0]
-        first, second = parameters(name)
-        yield from ({**base, **given} for given in first)
-        yield from ({**base, "nested": list(inner)} for inner in nested(name))
-        pairs += [{**base, **given} for given in second]
-        # Without what a plugin needs.
-        yield {key: value for key, value in base.items() if key in ("type", "nested")}
+        needed, inner = NEEDED.get(name, {}), [DIFFUSE] * plugin.num_nested[0]
+        first, second = parameters(plugin)
+        yield from (make_material(name, needed | given, inner) for given in first)
+        yield from (make_material(name, needed, held) for held in nested(plugin))
+        pairs += [(name, needed | given, inner) for given in second]
     chosen = RANDOM.permutation(len(pairs))[: count or None]
-    yield from (pairs[index] for index in chosen)
+    yield from (make_material(*pairs[index]) for index in chosen)
 
 
 def accepted(material):

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from lumitree.asset.array_stream import Layout, decompressed
 from lumitree.asset.field_bytes import coefficients_of, densities
-from lumitree.output.viewer.packing import PackedAsset
+from lumitree.viewer.packing import PackedAsset
 
 
 def unpack_asset(packed: PackedAsset) -> dict[str, NDArray[Any]]:

@@ -45,7 +45,7 @@ def integrate_ray(
     order = order[exit_[order] > entry[order]]
     y = basis_array(towards_viewer(direction), asset.l_max)
     logits = asset.coefficients[order].astype(np.float64) @ y
-    emission = asset.max_radiance * np.array(asset.gain) / (1 + np.exp(-logits))
+    emission = asset.max_radiance * np.array(asset.light_factors) / (1 + np.exp(-logits))
     depth = asset.density[order].astype(np.float64) * (exit_ - entry)[order]
     after = transmittance(np.cumsum(depth), asset.law, np)
     before = np.concatenate([[1.0], after[:-1]])[: len(after)]

@@ -15,7 +15,7 @@ import numpy as np
 mi.set_variant("scalar_rgb")
 mi.set_log_level(mi.LogLevel.Error)
 
-from lumitree.asset.textures import check_coordinates  # noqa: E402
+from lumitree.asset.materials import Diffuse, check_coordinates  # noqa: E402
 from lumitree.rendering.plugins.geometry_materials import Materials  # noqa: E402
 from support.material_combinations import (  # noqa: E402
     FACTS,
@@ -83,14 +83,14 @@ def far_textures():
     for kind, wrap in itertools.product(("bilinear", "nearest"), ("repeat", "mirror", "clamp")):
         looked_up = texture(4, True, FARTHER, kind, wrap)
         check_coordinates(looked_up, FACTS, np.array([FAR, FAR]))
-        yield f"{kind} {wrap}", {"type": "diffuse", "reflectance": looked_up}
+        yield f"{kind} {wrap}", Diffuse(reflectance=looked_up)
 
 
 if __name__ == "__main__":
     surface = Surface()
     tried = list(materials(int(sys.argv[1])))
     usable = [material for material in tried if accepted(material)]
-    faults = {json.dumps(m, sort_keys=True): fault for m in usable if (fault := surface.fault(m))}
+    faults = {repr(m): fault for m in usable if (fault := surface.fault(m))}
     far = Surface(FAR)
     faults |= {name: fault for name, each in far_textures() if (fault := far.fault(each))}
     print(json.dumps({"tried": len(tried), "accepted": len(usable), "faults": faults}))

@@ -2,7 +2,7 @@
 
 import json
 
-from lumitree.asset import field_bytes, geometry_bytes, light_field_bytes
+from lumitree.asset import field_bytes, geometry_file, light_field_bytes
 from lumitree.asset.array_stream import compressed, decompressed
 
 
@@ -31,7 +31,7 @@ def change_light_arrays(tensors, field, change):
 def change_geometry_arrays(tensors, change):
     """Change the arrays of `geometry.stream`, as `change_field_arrays` does."""
     rows = json.loads(tensors["geometry.shapes"].tobytes())["arrays"]
-    _change(tensors, "geometry.stream", geometry_bytes._layouts(rows), change)
+    _change(tensors, "geometry.stream", geometry_file._layouts(rows), change)
 
 
 def _change(tensors, name, layouts, change):

@@ -30,7 +30,7 @@ def arrays(*values):
 
 def source(luminaire, spacing=1 / 64, seed=0):
     """Random rays of a luminaire."""
-    from lumitree.fit.octree.traced import TracedRays
+    from lumitree.fit.octree.rays import TracedRays
 
     return TracedRays(luminaire, spacing, seed=seed)
 

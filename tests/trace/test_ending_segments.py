@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from lumitree.trace.ending_segments import EndingConfig
 from lumitree.trace.light_paths import trace_light
+from lumitree.trace.segments import EndingConfig
 from support.lamps import AREA, GLASS, cube, lamp_of, sphere
 
 BLACK = '<bsdf type="diffuse"><rgb name="reflectance" value="0"/></bsdf>'

@@ -50,7 +50,7 @@ def rays(mi, count, direction, origin=(0, 0, 0), spread=0.0, distance=5.0):
     ids=["ball", "shell", "scattering ball"],
 )
 def test_clear_glass_disappears_in_a_furnace(mi, tmp_path, shapes, has_media):
-    from lumitree.trace.tracing import path_integrator
+    from lumitree.trace.cameras import path_integrator
 
     luminaire = load(tmp_path, *shapes, WHITE_LAMP)
     assert luminaire.has_media == has_media
@@ -68,7 +68,7 @@ def test_clear_glass_disappears_in_a_furnace(mi, tmp_path, shapes, has_media):
 
 
 def mean_straight_through(mi, luminaire, count, direction):
-    from lumitree.trace.straight_through import straight_through
+    from lumitree.trace.cameras import straight_through
 
     sampler, ray = rays(mi, count, direction)
     return float(np.mean(np.array(straight_through(luminaire.scene, sampler, ray, 32)[0])))
@@ -97,7 +97,7 @@ def test_slab_that_absorbs_and_scatters_follows_beer_and_fresnel(mi, tmp_path, d
 
 def test_transmitted_and_reflected_light_of_a_slab_add_up(mi, tmp_path):
     """A lamp in front of the slab shows R; straight-through is T but for inner reflections."""
-    from lumitree.trace.tracing import path_integrator
+    from lumitree.trace.cameras import path_integrator
 
     front = (
         '<shape type="rectangle"><transform name="to_world"><scale value="9"/>'

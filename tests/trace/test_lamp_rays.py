@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from lumitree.errors import LumitreeError
-from lumitree.trace.ending_segments import EndingConfig
-from lumitree.trace.lamp_rays import LampRays
+from lumitree.trace.light_paths import LampRays
+from lumitree.trace.segments import EndingConfig
 from support.lamps import AREA, cube, lamp_of, sphere
 
 RADIANCE = np.array([3.0, 2.0, 1.0])
@@ -47,7 +47,7 @@ def test_the_plate_absorbs_light_of_the_bare_emitter(lamp):
 
 
 def test_light_that_is_not_finite_is_refused(lamp, monkeypatch):
-    from lumitree.trace import lamp_rays as module
+    from lumitree.trace import light_paths as module
 
     def broken(*arguments, **options):
         paths = trace_light(*arguments, **options)

@@ -5,7 +5,7 @@ import pytest
 
 from lumitree.lamp.loading import load_luminaire
 from lumitree.rendering.scene import place_shapes
-from lumitree.trace.tracing import path_integrator
+from lumitree.trace.cameras import path_integrator
 from support.lamps import AREA, cube, lamp_of, scene, sphere
 
 LAMP = (

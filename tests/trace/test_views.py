@@ -25,7 +25,7 @@ def luminaire(mi, tmp_path):
 
 
 def take(luminaire, folder, **settings):
-    from lumitree.trace.capture import capture
+    from lumitree.trace.cameras import capture
 
     settings = {"views": 2, "resolution": 32, "spp": 16, **settings}
     return list(capture(luminaire, folder, **settings).views())
@@ -59,7 +59,7 @@ def face_on_opacity(lamp, mi, samples=20000):
     """Straight-through opacity of a ray along -z through the slab's middle."""
     import drjit as dr
 
-    from lumitree.trace.straight_through import straight_through
+    from lumitree.trace.cameras import straight_through
 
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(3, samples)
@@ -123,7 +123,7 @@ def test_glass_ball_that_bends_light_is_opaque(luminaire, mi):
     """A solid glass ball deflects all but the most central light by more than 15°."""
     import drjit as dr
 
-    from lumitree.trace.straight_through import straight_through
+    from lumitree.trace.cameras import straight_through
 
     lamp = luminaire(SPHERE.format('<bsdf type="dielectric"/>') + panes("").replace("4", "0.01"))
     sampler = mi.load_dict({"type": "independent"})

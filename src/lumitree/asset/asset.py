@@ -30,7 +30,7 @@ MAX_DENSITY = 1e15
 # Parts that an asset may have: illumination, its image without and with the luminaire itself.
 Part = Literal["light", "field", "geometry"]
 PARTS: tuple[Part, ...] = get_args(Part)
-NO_GAIN = (1.0, 1.0, 1.0)
+UNIT_FACTORS = (1.0, 1.0, 1.0)
 _expect = functools.partial(expect, "asset")
 
 
@@ -39,7 +39,7 @@ class Asset:
     """A sparse octree over the cube [-1, 1]³ of the local frame.
 
     Density and coefficients are constant within a leaf. The emission towards a viewer in
-    direction v is Φ = gain · max_radiance · sigmoid(Σ coefficient · Y(v)).
+    direction v is Φ = light_factors · max_radiance · sigmoid(Σ coefficient · Y(v)).
 
     Attributes:
         children: int32 [N, 8], by octant: 0 empty, n > 0 interior node n, c < 0 leaf ~c.
@@ -57,7 +57,7 @@ class Asset:
             for that too.
         geometry: the luminaire itself, which `lumitree_path` shows in place of the field; None if
             there is none.
-        gain: [3] factors on the R, G and B of all light of the asset: of the field, the
+        light_factors: [3] factors on the R, G and B of all light of the asset: of the field, the
             light field and the geometry, which are stored without them. At least 0, not all 0.
         spectrum: of the luminaire's bare emitters; None if only their RGB colours are known.
 
@@ -76,7 +76,7 @@ class Asset:
     luminaire: str
     light_field: LightField | None = None
     geometry: AssetGeometry | None = None
-    gain: tuple[float, float, float] = NO_GAIN
+    light_factors: tuple[float, float, float] = UNIT_FACTORS
     spectrum: EmittedSpectrum | None = None
 
     def __post_init__(self) -> None:
@@ -133,9 +133,13 @@ class Asset:
         return self.light_field is not None and self.light_field.absolute
 
     @property
-    def without_gain(self) -> "Asset":
-        """The asset with a gain of 1: with the light of the luminaire that it was baked from."""
-        return self if self.gain == NO_GAIN else dataclasses.replace(self, gain=NO_GAIN)
+    def without_factors(self) -> "Asset":
+        """The asset with factors of 1: with the light of the luminaire that it was baked from."""
+        return (
+            self
+            if self.light_factors == UNIT_FACTORS
+            else dataclasses.replace(self, light_factors=UNIT_FACTORS)
+        )
 
     @property
     def near_origin(self) -> "Asset":
@@ -178,7 +182,7 @@ class Asset:
             geometry_triangles=0 if self.geometry is None else self.geometry.num_triangles,
             parts=self.parts,
             appearance=self.appearance,
-            gain=self.gain,
+            light_factors=self.light_factors,
             spectrum_share=None if self.spectrum is None else self.spectrum.share,
         )
 
@@ -231,7 +235,7 @@ class AssetInfo:
         leaves, nodes: numbers of leaves and of interior nodes of the octree.
         l_max: highest spherical-harmonics band.
         law: transmittance law, "linear" or "exponential".
-        max_radiance: upper end of the emission without the gain, W/(m² sr).
+        max_radiance: upper end of the emission without `light_factors`, W/(m² sr).
         size: [3] sides of the bounding box, in the unit of the luminaire's file.
         centre: [3] centre of the bounding box, in the frame of the luminaire's file.
         light_field_cells: number of cells of the light field; 0 if there is none.
@@ -243,7 +247,7 @@ class AssetInfo:
         geometry_triangles: number of triangles of the geometry; 0 if there is none.
         parts: which of "light", "field" and "geometry" it has.
         appearance: which of them images show under `lumitree_path`.
-        gain: [3] factors on the R, G and B of its light, which a luminous flux or a colour
+        light_factors: [3] factors on the R, G and B of its light, which a luminous flux or a colour
             temperature that was asked for has made other than 1.
         spectrum_share: part of the luminous flux of the luminaire's emitters whose spectrum is
             known; None if it is that of none.
@@ -265,7 +269,7 @@ class AssetInfo:
     light_inside_cells: int = 0
     light_field_paths: int | None = None
     light_field_noise: float | None = None
-    gain: tuple[float, float, float] = NO_GAIN
+    light_factors: tuple[float, float, float] = UNIT_FACTORS
     spectrum_share: float | None = None
 
 
@@ -305,18 +309,23 @@ def _check_scalars(asset: Asset) -> None:
         MIN_RADIANCE <= asset.max_radiance <= MAX_RADIANCE,
         f"maximum radiance {asset.max_radiance!r}, expected {MIN_RADIANCE} to {MAX_RADIANCE}",
     )
-    gain = asset.gain
+    factors = asset.light_factors
     _expect(
-        len(gain) == 3 and all(type(each) is float and each >= 0 for each in gain) and any(gain),
-        f"gain {gain!r}, expected three numbers of at least 0, not all 0",
+        len(factors) == 3
+        and all(type(each) is float and each >= 0 for each in factors)
+        and any(factors),
+        f"light factors {factors!r}, expected three numbers of at least 0, not all 0",
     )
     light_field = asset.light_field
     scales = [] if light_field is None else [light_field.scale]
     scales += (
         [] if light_field is None or light_field.inside is None else [light_field.inside.scale]
     )
-    brightest = max(gain) * max(asset.max_radiance, *scales, 0.0)
-    _expect(brightest <= MAX_RADIANCE, f"gain {gain!r}, with which emission exceeds {MAX_RADIANCE}")
+    brightest = max(factors) * max(asset.max_radiance, *scales, 0.0)
+    _expect(
+        brightest <= MAX_RADIANCE,
+        f"light factors {factors!r}, with which emission exceeds {MAX_RADIANCE}",
+    )
 
 
 def _check_payload(asset: Asset) -> None:

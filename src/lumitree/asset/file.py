@@ -20,7 +20,7 @@ from lumitree.asset.field_bytes import (
     field_tensors,
     rounded_field,
 )
-from lumitree.asset.geometry_bytes import (
+from lumitree.asset.geometry_file import (
     GEOMETRY_SHAPES,
     GEOMETRY_TENSORS,
     build_geometry,
@@ -65,7 +65,7 @@ _KEYS = (
 )
 
 
-def save(asset: Asset, path: str | os.PathLike[str]) -> None:
+def save(asset: Asset, path: str | os.PathLike[str], *, fingerprint: str = "") -> None:
     """Write an asset to a file; equal assets give equal bytes.
 
     The field is rounded: densities by at most 3.2 %, and coefficients by at most 1/64 in band 0 and
@@ -77,6 +77,7 @@ def save(asset: Asset, path: str | os.PathLike[str]) -> None:
     Args:
         asset: the asset to write.
         path: path of the file, usually with the suffix `.lumitree`.
+        fingerprint: of the luminaire and the settings of its bake, for `fingerprint_of`.
 
     Raises:
         LumitreeError: the file cannot be written.
@@ -91,7 +92,7 @@ def save(asset: Asset, path: str | os.PathLike[str]) -> None:
         "law": asset.law,
         "activation": ACTIVATION,
         "max_radiance": asset.max_radiance,
-        "gain": asset.gain,
+        "gain": asset.light_factors,
         "field": field_description(asset),
         **asset.frame.members(),
     }
@@ -103,6 +104,8 @@ def save(asset: Asset, path: str | os.PathLike[str]) -> None:
     if asset.spectrum is not None:
         tensors |= spectrum_tensors(asset.spectrum)
         description["spectrum"] = spectrum_description(asset.spectrum)
+    if fingerprint:
+        description["fingerprint"] = fingerprint
     text = json.dumps(description, sort_keys=True, separators=(",", ":"), allow_nan=False)
     # One key only: safetensors does not keep the order of several keys.
     metadata = {"lumitree": f"{_digest(text, tensors)} {text}"}
@@ -147,8 +150,18 @@ def load(path: str | os.PathLike[str]) -> Asset:
         ) from None
 
 
+def fingerprint_of(path: str | os.PathLike[str]) -> str:
+    """The fingerprint with which a file was saved; empty if it has none.
+
+    Raises:
+        LumitreeError: the file is not an asset of this version.
+    """
+    _, _, description = _read_header(read_bytes(path, "a .lumitree asset", MAX_BYTES))
+    return description.text("fingerprint", 64) if description.has("fingerprint") else ""
+
+
 def _build(description: Record, tensors: dict[str, NDArray[Any]]) -> Asset:
-    description.expect_keys(*_KEYS, optional=("light", "spectrum"))
+    description.expect_keys(*_KEYS, optional=("light", "spectrum", "fingerprint"))
     description.choice("activation", (ACTIVATION,))
     has_light_field, has_geometry = description.has("light"), GEOMETRY_SHAPES in tensors
     red, green, blue = description.array("gain", 3).tolist()
@@ -165,7 +178,7 @@ def _build(description: Record, tensors: dict[str, NDArray[Any]]) -> Asset:
         if has_light_field
         else None,
         geometry=build_geometry(tensors) if has_geometry else None,
-        gain=(red, green, blue),
+        light_factors=(red, green, blue),
         spectrum=build_spectrum(description.record("spectrum"), tensors)
         if description.has("spectrum")
         else None,

@@ -1,158 +1,687 @@
-"""The materials that the geometry of an asset may have: BSDF plugins of Mitsuba by an allow-list.
+"""The materials that the geometry of an asset may have: BSDF plugins of Mitsuba, one class each.
 
-A material is a JSON object: `type` names a plugin, `nested` holds the materials that it modifies,
-and all other members are parameters of the plugin. A parameter is a number, true or false, a name
-from a list, an RGB colour, or a texture:
-
-    {"image": 0, "raw": true, "filter_type": "bilinear", "wrap_mode": "repeat", "to_uv": [[...]]}
-    {"attribute": "vertex_color"}
-
-No parameter names a file. What is accepted can be rendered: Mitsuba makes the BSDF, and its values
-are finite and not negative. docs/format.md has the same rules in words.
+A parameter that is None has Mitsuba's default. No parameter names a file. What `check_material`
+accepts can be rendered: Mitsuba makes the BSDF, and its values are finite and not negative.
+docs/format.md has the same rules in words, and `asset.geometry_file` reads and writes materials.
 """
 
+import dataclasses
+import functools
 import math
-import operator
-from collections.abc import Callable, Sequence
-from typing import Any
+import typing
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.measured import INDICES
-from lumitree.asset.plugins import PLUGINS, RADIANCE, Kind, Plugin
-from lumitree.asset.textures import VERTEX_RANGE, ImageFacts, Json
-from lumitree.core.reading import Record
+from lumitree.core.photometry import RGB
 from lumitree.errors import LumitreeError, shown
 
-# A two-sided material is built from two copies of the one that it holds.
+Range = tuple[float, float]
+Matrix = tuple[tuple[float, ...], ...]
+# Pixels of an image of an asset.
+Image = NDArray[np.uint8] | NDArray[np.float32]
+
+_MAX_COLOUR, _MAX_RADIANCE, _MAX_TRANSFORM = 1e4, 1e15, 1e4
+# Colours of vertices, and numbers that are parts of a whole.
+_UNIT: Range = (0.0, 1.0)
+# Largest texture coordinate in pixels. Mitsuba rounds it to an integer of 32 bits, and weights
+# pixels by the rest: with a larger one the weights are wrong.
+_MAX_PIXEL_COORDINATE = 2**30
+# Values of images may exceed their range by rounding to 16 bits.
+_ROUNDING = 1e-3
+# A two-sided material is built from two copies of the material inside.
 MAX_NESTING = 8
 # Where both of two colours are darker than this, Mitsuba divides 0 by 0.
 _BLACK = 1e-6
-_RELATIONS: dict[str, Callable[[Any, Any], bool]] = {
-    "!=": operator.ne,
-    ">": operator.gt,
+
+# Mitsuba's names of measured conductors; the first group comes from two sources. "AlSb" and
+# "AlSb_palik" are missing: Mitsuba's tables of them give NaN in RGB variants.
+_MEASURED_TWICE = (
+    *("AlAs", "Be", "CsI", "Cu", "Cu2O", "CuO", "d-C", "Hg", "HgTe", "Ir", "K", "Li", "MgO"),
+    *("Mo", "Nb", "Rh", "Se", "Se-e", "SiC", "SnTe", "Ta", "Te", "Te-e", "ThF4", "TiC", "TiN"),
+    *("TiO2", "TiO2-e", "VC", "VN"),
+)
+CONDUCTORS = frozenset(
+    (
+        *("none", "a-C", "Ag", "Al", "Au", "Cr", "W", "Na_palik", "Ni_palik", "V_palik"),
+        *(f"{name}{source}" for name in _MEASURED_TWICE for source in ("", "_palik")),
+    )
+)
+# Mitsuba's indices of refraction by name.
+INDICES = {
+    **{"vacuum": 1.0, "helium": 1.000036, "hydrogen": 1.000132, "air": 1.000277},
+    **{"carbon dioxide": 1.00045, "water": 1.333, "acetone": 1.36, "ethanol": 1.361},
+    **{"carbon tetrachloride": 1.461, "glycerol": 1.4729, "benzene": 1.501},
+    **{"silicone oil": 1.52045, "bromine": 1.661, "water ice": 1.31, "fused quartz": 1.458},
+    **{"pyrex": 1.47, "acrylic glass": 1.49, "polypropylene": 1.49, "bk7": 1.5046},
+    **{"sodium chloride": 1.544, "amber": 1.55, "pet": 1.575, "diamond": 2.419},
 }
 
 
-def check_material(material: Any, images: Sequence[ImageFacts], nesting: int = 1) -> None:
-    """Refuse a material that is not as the module describes.
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Texture:
+    """An image over texture coordinates.
+
+    Attributes:
+        image: index of the image in the geometry.
+        raw: whether its numbers are linear; else 8 bits are encoded by sRGB.
+        filter_type: how values between pixels are found.
+        wrap_mode: what lies beyond the sides of the image.
+        to_uv: [4][4] affine map from the mesh's texture coordinates to the image's.
+    """
+
+    image: int
+    raw: bool
+    filter_type: Literal["bilinear", "nearest"]
+    wrap_mode: Literal["repeat", "mirror", "clamp"]
+    to_uv: Matrix
+
+    def check(self, num_images: int) -> None:
+        """Refuse an index without an image, and a transform beyond the limit."""
+        if not 0 <= self.image < num_images:
+            raise LumitreeError(f"a texture has no image {self.image}")
+        if not np.abs(np.array(self.to_uv)).max() <= _MAX_TRANSFORM:
+            raise LumitreeError(f"to_uv of a texture exceeds {_MAX_TRANSFORM:g}")
+
+
+@dataclasses.dataclass(frozen=True)
+class VertexColours:
+    """The linear colours of a mesh's vertices."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ImageFacts:
+    """Properties of an image that textures depend on.
+
+    Attributes:
+        sides: height and width.
+        channels: 1, 3 or 4.
+        values: least and largest value, without the fourth channel; 8 bits are 0 to 1.
+    """
+
+    sides: tuple[int, int]
+    channels: int
+    values: Range
+
+    @classmethod
+    def of(cls, image: Image) -> "ImageFacts":
+        """Facts of an image [H, W, C] that is not empty."""
+        colours, unit = image[..., :3], 255 if image.dtype == np.uint8 else 1
+        values = (float(colours.min()) / unit, float(colours.max()) / unit)
+        return cls((image.shape[0], image.shape[1]), image.shape[2], values)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Kind:
+    """Values that a parameter may have.
+
+    Attributes:
+        range: of a number.
+        names: texts that are accepted in place of a number.
+        colour: largest channel of a colour; None if it may not be a colour.
+        boolean: whether it is true or false.
+        image: range of the values of an image; None if it may not be a texture.
+        channels: that an image may have.
+        vertex_colours: whether colours of vertices may be used.
+    """
+
+    range: Range | None = None
+    names: frozenset[str] = frozenset()
+    colour: float | None = None
+    boolean: bool = False
+    image: Range | None = None
+    channels: tuple[int, ...] = (1, 3, 4)
+    vertex_colours: bool = False
+
+    def __str__(self) -> str:
+        forms = []
+        if self.range is not None:
+            forms.append(f"a number from {self.range[0]:g} to {self.range[1]:g}")
+        if self.colour is not None:
+            forms.append(f"three numbers from 0 to {self.colour:g}")
+        if self.names:
+            forms.append(f"a name such as {min(self.names)!r}")
+        if self.boolean:
+            forms.append("true or false")
+        if self.image is not None:
+            low, high = self.image
+            channels = "" if 1 in self.channels else " of three or four channels"
+            forms.append(f"an image{channels} of values from {low:g} to {high:g}")
+        if self.vertex_colours:
+            forms.append("the colours of the vertices")
+        return " or ".join(forms)
+
+    def check(self, value: object, images: Sequence[ImageFacts]) -> None:
+        """Refuse a value that is none of these."""
+        match value:
+            case bool():
+                accepted = self.boolean
+            case str():
+                accepted = value in self.names
+            case int() | float():
+                accepted = self.range is not None and self.range[0] <= value <= self.range[1]
+            case (_, _, _):
+                accepted = self.colour is not None and all(
+                    type(each) in (int, float) and 0 <= each <= self.colour for each in value
+                )
+            case VertexColours():
+                accepted = self.vertex_colours
+            case Texture():
+                return self._check_texture(value, images)
+            case _:
+                accepted = False
+        if not accepted:
+            found = "the colours of the vertices" if value == VertexColours() else shown(value, 60)
+            raise LumitreeError(f"{found}; expected {self}")
+
+    def _check_texture(self, texture: Texture, images: Sequence[ImageFacts]) -> None:
+        texture.check(len(images))
+        image = images[texture.image]
+        if self.image is None or image.channels not in self.channels:
+            raise LumitreeError(f"an image of {image.channels} channels; expected {self}")
+        if not _within(image.values, self.image):
+            least, largest = image.values
+            raise LumitreeError(
+                f"an image of values from {least:.4g} to {largest:.4g}; expected {self}"
+            )
+
+
+_FULL: Range = (0.0, _MAX_COLOUR)
+_SIGNED: Range = (-_MAX_COLOUR, _MAX_COLOUR)
+Flag = Annotated[bool, Kind(boolean=True)]
+Number = Annotated[float | Texture, Kind(range=_UNIT, image=_UNIT)]
+Colour = Annotated[
+    float | RGB | Texture | VertexColours,
+    Kind(colour=1, range=_UNIT, image=_UNIT, vertex_colours=True),
+]
+# Mitsuba needs the mean reflectance of a plastic, which it does not have of colours of vertices.
+PlasticColour = Annotated[float | RGB | Texture, Kind(colour=1, range=_UNIT, image=_UNIT)]
+MetalColour = Annotated[
+    float | RGB | Texture | VertexColours,
+    Kind(colour=_MAX_COLOUR, range=_FULL, image=_FULL, vertex_colours=True),
+]
+Index = Annotated[float | str, Kind(range=(0.1, 10), names=frozenset(INDICES))]
+Eta = Annotated[float, Kind(range=(1.001, 10))]
+Alpha = Annotated[float | Texture, Kind(range=(1e-4, 2), image=(0, 2))]
+Distribution = Annotated[str, Kind(names=frozenset(("ggx", "beckmann")))]
+DiffuseTransmission = Annotated[float | Texture, Kind(range=(0, 2), image=(0, 2))]
+# Radiance of a shape, W/(m² sr). Mitsuba cannot sample an emitter by colours of vertices.
+Radiance = float | RGB | Texture
+_RADIANCE = Kind(colour=_MAX_RADIANCE, range=(0, _MAX_RADIANCE), image=(0, _MAX_RADIANCE))
+# A parameter of any material.
+Parameter = bool | float | str | RGB | Texture | VertexColours
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Material:
+    """A BSDF of Mitsuba: `plugin` is its name, and other attributes are its parameters.
+
+    Attributes:
+        nested: the materials that it modifies, `num_nested` of them.
+    """
+
+    plugin: ClassVar[str]
+    num_nested: ClassVar[tuple[int, ...]] = (0,)
+    nested: tuple["Material", ...] = ()
+
+    @property
+    def parameters(self) -> dict[str, Parameter]:
+        """The parameters that are given, by name."""
+        found = {name: getattr(self, name) for name in parameter_kinds(type(self))}
+        return {name: value for name, value in found.items() if value is not None}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Diffuse(Material):
+    """A Lambertian reflector."""
+
+    plugin: ClassVar[str] = "diffuse"
+    reflectance: Colour | None = None
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Glass(Material):
+    """Parameters that all glass has; its normals point to the side of `ext_ior`."""
+
+    int_ior: Index | None = None
+    ext_ior: Index | None = None
+    specular_reflectance: Colour | None = None
+    specular_transmittance: Colour | None = None
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Microfacets(Material):
+    """Parameters of rough glass and metal: `alpha`, or one along u and one along v."""
+
+    distribution: Distribution | None = None
+    sample_visible: Flag | None = None
+    alpha: Alpha | None = None
+    alpha_u: Alpha | None = None
+    alpha_v: Alpha | None = None
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Dielectric(Glass):
+    """Clear glass."""
+
+    plugin: ClassVar[str] = "dielectric"
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ThinDielectric(Glass):
+    """A clear sheet, with the reflections between its two sides."""
+
+    plugin: ClassVar[str] = "thindielectric"
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class RoughDielectric(Glass, Microfacets):
+    """Frosted glass."""
+
+    plugin: ClassVar[str] = "roughdielectric"
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Metal(Material):
+    """Parameters that all metals have: a measured `material`, or `eta` and `k`."""
+
+    material: Annotated[str, Kind(names=CONDUCTORS)] | None = None
+    eta: MetalColour | None = None
+    k: MetalColour | None = None
+    specular_reflectance: Colour | None = None
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Conductor(Metal):
+    """A smooth metal."""
+
+    plugin: ClassVar[str] = "conductor"
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class RoughConductor(Metal, Microfacets):
+    """A rough metal."""
+
+    plugin: ClassVar[str] = "roughconductor"
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Plastic(Material):
+    """A diffuse base below a smooth dielectric."""
+
+    plugin: ClassVar[str] = "plastic"
+    int_ior: Index | None = None
+    ext_ior: Index | None = None
+    diffuse_reflectance: PlasticColour | None = None
+    specular_reflectance: PlasticColour | None = None
+    nonlinear: Flag | None = None
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class RoughPlastic(Plastic):
+    """A diffuse base below a rough dielectric."""
+
+    plugin: ClassVar[str] = "roughplastic"
+    distribution: Distribution | None = None
+    sample_visible: Flag | None = None
+    alpha: Annotated[float, Kind(range=(1e-4, 2))] | None = None
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class DisneyMaterial(Material):
+    """Parameters that `principled` and `principledthin` share (Burley 2012)."""
+
+    base_color: Colour | None = None
+    eta: Eta | None = None
+    roughness: Number | None = None
+    anisotropic: Number | None = None
+    spec_trans: Number | None = None
+    sheen: Number | None = None
+    sheen_tint: Number | None = None
+    spec_tint: Number | None = None
+    flatness: Number | None = None
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Principled(DisneyMaterial):
+    """Disney's BSDF of a solid."""
+
+    plugin: ClassVar[str] = "principled"
+    diffuse_reflectance_sampling_rate: Annotated[float, Kind(range=(0, 100))] | None = None
+    metallic: Number | None = None
+    clearcoat: Number | None = None
+    clearcoat_gloss: Number | None = None
+    specular: Annotated[float, Kind(range=(1e-6, 1))] | None = None
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PrincipledThin(DisneyMaterial):
+    """Disney's BSDF of a sheet."""
+
+    plugin: ClassVar[str] = "principledthin"
+    diff_trans: DiffuseTransmission | None = None
+    diffuse_reflectance_sampling_rate: Annotated[float, Kind(range=(1e-3, 100))] | None = None
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class MetallicRoughness(Material):
+    """The material of glTF 2.0, see `lamp.metallic_roughness`."""
+
+    plugin: ClassVar[str] = "lumitree_metallic_roughness"
+    base_color: Colour | None = None
+    eta: Eta | None = None
+    thin: Flag | None = None
+    diff_trans: DiffuseTransmission | None = None
+    metallic: Number | None = None
+    roughness: Number | None = None
+    anisotropic: Number | None = None
+    specular: Number | None = None
+    spec_trans: Number | None = None
+    clearcoat: Number | None = None
+    clearcoat_roughness: Number | None = None
+    sheen: Number | None = None
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Mask(Material):
+    """A material that is there with a probability of `opacity`; light crosses the rest."""
+
+    plugin: ClassVar[str] = "mask"
+    num_nested: ClassVar[tuple[int, ...]] = (1,)
+    opacity: Number | None = None
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TwoSided(Material):
+    """A material on both sides of a surface, or one on each."""
+
+    plugin: ClassVar[str] = "twosided"
+    num_nested: ClassVar[tuple[int, ...]] = (1, 2)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class NormalMap(Material):
+    """A material with shading normals from an image."""
+
+    plugin: ClassVar[str] = "normalmap"
+    num_nested: ClassVar[tuple[int, ...]] = (1,)
+    normalmap: Annotated[Texture, Kind(image=_SIGNED, channels=(3, 4))]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class BumpMap(Material):
+    """A material with shading normals from an image of heights."""
+
+    plugin: ClassVar[str] = "bumpmap"
+    num_nested: ClassVar[tuple[int, ...]] = (1,)
+    bumpmap: Annotated[Texture, Kind(image=_SIGNED)]
+    scale: Annotated[float, Kind(range=(-1e4, 1e4))] | None = None
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Blend(Material):
+    """A mixture of two materials; `weight` is the part of the second."""
+
+    plugin: ClassVar[str] = "blendbsdf"
+    num_nested: ClassVar[tuple[int, ...]] = (2,)
+    weight: Number
+
+
+PLUGINS: dict[str, type[Material]] = {
+    each.plugin: each
+    for each in (
+        *(Diffuse, Dielectric, ThinDielectric, RoughDielectric, Conductor, RoughConductor),
+        *(Plastic, RoughPlastic, Principled, PrincipledThin, MetallicRoughness),
+        *(Mask, TwoSided, NormalMap, BumpMap, Blend),
+    )
+}
+
+
+@functools.cache
+def parameter_kinds(plugin: type[Material]) -> dict[str, Kind]:
+    """Values that the parameters of a material may have, by name."""
+    found = {}
+    for name, hint in typing.get_type_hints(plugin, include_extras=True).items():
+        for each in (hint, *typing.get_args(hint)):
+            if isinstance(kind := getattr(each, "__metadata__", (None,))[0], Kind):
+                found[name] = kind
+    return found
+
+
+def make_material(
+    plugin: str, parameters: Mapping[str, Parameter], nested: Sequence[Material] = ()
+) -> Material:
+    """A material of a plugin, for `check_material`; refuses parameters that it does not have."""
+    if (made := PLUGINS.get(plugin)) is None:
+        raise LumitreeError(f"a material has the type {shown(plugin, 60)!r}, which is not stored")
+    kinds = parameter_kinds(made)
+    for name in parameters:
+        if name not in kinds:
+            raise LumitreeError(f"{plugin} has a parameter {shown(name, 60)!r} that is not stored")
+    for field in dataclasses.fields(made):
+        if field.default is dataclasses.MISSING and field.name not in parameters:
+            raise LumitreeError(f"{plugin} has no {field.name}; expected {kinds[field.name]}")
+    return made(**parameters, nested=tuple(nested))
+
+
+def check_material(material: Material, images: Sequence[ImageFacts], nesting: int = 1) -> None:
+    """Refuse a material that could not be rendered.
 
     Args:
-        material: as `json.loads` returns it.
+        material: of types that are not checked yet.
         images: that textures may refer to.
         nesting: 1, or more for a material within others.
 
     Raises:
         LumitreeError: says what was found, and what is expected.
     """
-    record = Record(material, "a material")
-    name = record.choice("type", tuple(PLUGINS))
-    plugin = PLUGINS[name]
+    name, nested = material.plugin, material.nested
     if nesting > MAX_NESTING:
         raise LumitreeError(f"materials are nested more than {MAX_NESTING} deep")
-    inner = record.items("nested") if record.has("nested") else []
-    if len(inner) not in plugin.nested:
-        raise LumitreeError(f"{name} holds {len(inner)} materials, expected {plugin.nested[0]}")
-    for each in inner:
+    if len(nested) not in material.num_nested:
+        expected = material.num_nested[0]
+        raise LumitreeError(f"{name} has {len(nested)} nested materials, expected {expected}")
+    for each in nested:
         check_material(each, images, nesting + 1)
-    if name == "twosided" and any(map(transmits, inner)):
+    if isinstance(material, TwoSided) and any(map(transmits, nested)):
         raise LumitreeError(
-            "twosided holds a material that light crosses, such as glass or a mask; put the mask "
-            "around it, and leave it out around glass"
+            "twosided has a nested material that light crosses, such as glass or a mask; put the "
+            "mask around it, and leave it out around glass"
         )
-    parameters = {name: material[name] for name in material if name not in ("type", "nested")}
-    for key, value in parameters.items():
-        if key not in plugin.parameters:
-            raise LumitreeError(f"{name} has a parameter {shown(key, 60)!r} that is not stored")
-        _check_value(f"{key} of {name}", plugin.parameters[key], value, images)
-    _check_together(name, plugin, parameters)
-    _check_values(name, plugin, parameters, images)
+    kinds = parameter_kinds(type(material))
+    for key, value in material.parameters.items():
+        _check_value(f"{key} of {name}", kinds[key], value, images)
+    _check_combinations(material, images)
 
 
-def check_radiance(value: Any, images: Sequence[ImageFacts]) -> None:
+def check_radiance(radiance: Radiance, images: Sequence[ImageFacts]) -> None:
     """Refuse what is not the radiance of an emitter, W/(m² sr): a colour or a texture."""
-    _check_value("radiance", RADIANCE, value, images)
+    _check_value("radiance", _RADIANCE, radiance, images)
 
 
-def is_specular(material: Json) -> bool:
+def is_specular(material: Material) -> bool:
     """Whether it reflects and transmits without scattering, so that an image is seen through it."""
-    if material["type"] in ("dielectric", "thindielectric", "conductor"):
-        return True
-    inner = material.get("nested", [])
-    return bool(inner) and material["type"] != "bumpmap" and all(map(is_specular, inner))
+    match material:
+        case Dielectric() | ThinDielectric() | Conductor():
+            return True
+        case BumpMap():
+            return False
+        case _:
+            return bool(material.nested) and all(map(is_specular, material.nested))
 
 
-def transmits(material: Json) -> bool:
+def transmits(material: Material) -> bool:
     """Whether Mitsuba says that light crosses a surface of a material."""
-    stated = PLUGINS[material["type"]].transmits
-    if stated is not None:
-        return stated
-    inner = material.get("nested", [])
-    diffuse = material.get("thin", False) and material.get("diff_trans", 0) != 0
-    return diffuse or material.get("spec_trans", 0) != 0 or any(map(transmits, inner))
+    match material:
+        case Glass() | PrincipledThin() | Mask():
+            return True
+        case Principled():
+            return _occurs(material.spec_trans)
+        case MetallicRoughness():
+            diffuse = bool(material.thin) and _occurs(material.diff_trans)
+            return diffuse or _occurs(material.spec_trans)
+        case TwoSided():
+            return False
+        case _:
+            return any(map(transmits, material.nested))
 
 
-def _check_value(what: str, kind: Kind, value: Any, images: Sequence[ImageFacts]) -> None:
-    try:
-        accepted = kind.accepts(value, images)
-    except LumitreeError as error:
-        raise LumitreeError(f"{what}: {error}") from None
-    if not accepted:
-        raise LumitreeError(f"{what} is {shown(value, 60)}; expected {kind}")
+def places_on_image(to_uv: Matrix, texcoords: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Places [N, 2] on an image, of texture coordinates [N, 2]; `to_uv` as of `Texture`."""
+    matrix = np.array(to_uv, np.float64)
+    return texcoords @ matrix[:2, :2].T + matrix[:2, 3]
 
 
-def _check_together(name: str, plugin: Plugin, parameters: Json) -> None:
-    """Refuse parameters that Mitsuba does not take together, or not without others."""
-    for key in plugin.required:
-        if key not in parameters:
-            raise LumitreeError(f"{name} has no {key}; expected {plugin.parameters[key]}")
-    for first, second in plugin.exclusive:
-        if first in parameters and second in parameters:
-            raise LumitreeError(f"{name} has {first} and {second}; expected one of them")
-    for first, second in plugin.together:
-        if (first in parameters) != (second in parameters):
-            raise LumitreeError(f"{name} has one of {first} and {second}; expected both or none")
-    if parameters.get("material", "none") != "none" and parameters.keys() & {"eta", "k"}:
-        raise LumitreeError(f"{name} has a material and eta or k; expected one of them")
+def textures_of(*values: object) -> Iterator[Texture | VertexColours]:
+    """The textures among parameters and materials, also of nested materials."""
+    for value in values:
+        if isinstance(value, Material):
+            yield from textures_of(*value.parameters.values(), *value.nested)
+        elif isinstance(value, Texture | VertexColours):
+            yield value
 
 
-def _check_values(
-    name: str, plugin: Plugin, parameters: Json, images: Sequence[ImageFacts]
+def check_surface(
+    material: Material,
+    radiance: Radiance | None,
+    mesh: Mapping[str, NDArray[np.generic]],
+    images: Sequence[ImageFacts],
 ) -> None:
-    """Refuse values with which Mitsuba does not make the BSDF, or gives NaN."""
-    if plugin.indices is not None:
-        relation, default = plugin.indices
-        inside = parameters.get("int_ior", default)
-        outside = parameters.get("ext_ior", "air")
-        # As Mitsuba compares them, in single precision.
-        first, second = (np.float32(INDICES.get(each, each)) for each in (inside, outside))
-        if not (_RELATIONS[relation](first, second) and first <= plugin.densest * second):
-            most = "" if plugin.densest == math.inf else f", at most {plugin.densest:g} times it"
+    """Refuse the arrays of a shape if its textures cannot be looked up with them.
+
+    Args:
+        material, radiance: of the shape, checked.
+        mesh: arrays by name as of `AssetGeometry`, those that it has; {} for no mesh.
+        images: of the geometry.
+    """
+    textures = list(textures_of(material, radiance))
+    if VertexColours() in textures:
+        colours = mesh.get("colours", np.zeros(0))
+        if not len(colours):
+            raise LumitreeError("it has no colours of vertices, which its material uses")
+        values = float(colours.min()), float(colours.max())
+        if not _within(values, _UNIT):
             raise LumitreeError(
-                f"{name} has int_ior {inside} and ext_ior {outside}; expected int_ior {relation} "
-                f"ext_ior{most}"
+                f"its colours of vertices are {values[0]:.4g} to {values[1]:.4g}; expected 0 to 1"
             )
-    if plugin.not_both_black is not None and parameters.get("material", "none") == "none":
-        *colours, everywhere = plugin.not_both_black
-        bounds = [_bounds(parameters.get(key, default), images) for key, default in colours]
-        if everywhere:
-            lit = np.maximum(bounds[0][0], bounds[1][0]).min()
-        else:
-            lit = max(bounds[0][1].max(), bounds[1][1].max())
-        if lit < _BLACK:
-            (first, _), (second, _) = colours
-            raise LumitreeError(
-                f"{name} has {first} and {second} of 0; expected one of them above {_BLACK:g}"
-            )
+    coordinates = mesh.get("texcoords", np.zeros((0, 2)))
+    for texture in textures:
+        if isinstance(texture, Texture):
+            # A shape without coordinates has Mitsuba's, from 0 to 1.
+            largest = np.abs(coordinates).max(axis=0) if len(coordinates) else np.ones(2)
+            check_coordinates(texture, images, largest)
+
+
+def check_coordinates(
+    texture: Texture, images: Sequence[ImageFacts], coordinates: NDArray[np.floating]
+) -> None:
+    """Refuse texture coordinates at which Mitsuba cannot look up an image.
+
+    `coordinates` are the largest absolute values of u and of v; `texture` is valid.
+    """
+    matrix = np.abs(np.array(texture.to_uv, np.float64))
+    height, width = images[texture.image].sides
+    pixels = (matrix[:2, :2] @ coordinates + matrix[:2, 3]) * [width, height]
+    if not (pixels <= _MAX_PIXEL_COORDINATE).all():
+        raise LumitreeError(
+            f"texture coordinates reach {pixels.max():.3g} pixels of an image; expected at most "
+            f"{_MAX_PIXEL_COORDINATE} (2^30)"
+        )
+
+
+def _occurs(value: float | Texture | None) -> bool:
+    return value not in (None, 0)
+
+
+def _within(values: Range, expected: Range) -> bool:
+    """Whether least and largest value of an image, or of colours, are in a range."""
+    low, high = expected
+    return low <= values[0] and values[1] <= high * (1 + _ROUNDING)
+
+
+def _check_value(what: str, kind: Kind, value: object, images: Sequence[ImageFacts]) -> None:
+    try:
+        kind.check(value, images)
+    except LumitreeError as error:
+        raise LumitreeError(f"{what} is {error}") from None
+
+
+def _check_combinations(material: Material, images: Sequence[ImageFacts]) -> None:
+    """Refuse parameters with which together Mitsuba does not make the BSDF, or gives NaN."""
+    match material:
+        case Microfacets():
+            _check_one_of(material, "alpha", "alpha_u", "alpha_v")
+            if (material.alpha_u is None) != (material.alpha_v is None):
+                raise LumitreeError(
+                    f"{material.plugin} has one of alpha_u and alpha_v; expected both or none"
+                )
+        case Principled():
+            _check_one_of(material, "eta", "specular")
+        case _:
+            pass
+    match material:
+        case RoughDielectric():
+            inside, outside = _indices(material, "bk7")
+            if inside == outside:
+                _refuse_indices(material, "expected int_ior != ext_ior")
+        case Plastic():
+            inside, outside = _indices(material, "polypropylene")
+            # Mitsuba's fit of the diffuse reflectance inside is above 1 from a ratio of 3.8.
+            densest = math.inf if isinstance(material, RoughPlastic) else 3.0
+            if not outside < inside <= densest * outside:
+                most = "" if densest == math.inf else f", at most {densest:g} times it"
+                _refuse_indices(material, f"expected int_ior > ext_ior{most}")
+            diffuse, specular = material.diffuse_reflectance, material.specular_reflectance
+            brightest = (_bounds(diffuse, 0.5, images)[1], _bounds(specular, 1.0, images)[1])
+            if np.max(brightest) < _BLACK:
+                _refuse_black(material, "diffuse_reflectance", "specular_reflectance")
+        case Metal():
+            if material.material in (None, "none"):
+                darkest = (
+                    _bounds(material.eta, 0.0, images)[0],
+                    _bounds(material.k, 1.0, images)[0],
+                )
+                if np.maximum(*darkest).min() < _BLACK:
+                    _refuse_black(material, "eta", "k")
+            else:
+                _check_one_of(material, "material", "eta", "k")
+        case _:
+            pass
+
+
+def _check_one_of(material: Material, first: str, *others: str) -> None:
+    for other in others:
+        if {first, other} <= material.parameters.keys():
+            raise LumitreeError(f"{material.plugin} has {first} and {other}; expected one of them")
+
+
+def _indices(material: RoughDielectric | Plastic, inside: str) -> tuple[np.float32, np.float32]:
+    """Both indices of refraction, as Mitsuba compares them, in single precision."""
+    given = (material.int_ior or inside, material.ext_ior or "air")
+    first, second = (np.float32(INDICES[n] if isinstance(n, str) else n) for n in given)
+    return first, second
+
+
+def _refuse_indices(material: RoughDielectric | Plastic, expected: str) -> typing.NoReturn:
+    found = f"int_ior {material.int_ior or 'of default'} and ext_ior {material.ext_ior or 'air'}"
+    raise LumitreeError(f"{material.plugin} has {found}; {expected}")
+
+
+def _refuse_black(material: Material, first: str, second: str) -> typing.NoReturn:
+    raise LumitreeError(
+        f"{material.plugin} has {first} and {second} of 0; expected one of them above {_BLACK:g}"
+    )
 
 
 def _bounds(
-    value: Any, images: Sequence[ImageFacts]
+    value: Parameter | None, default: float, images: Sequence[ImageFacts]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Least and largest value of each channel [3] of a parameter."""
-    if isinstance(value, dict):
-        least, largest = VERTEX_RANGE if "attribute" in value else images[value["image"]].values
+    if isinstance(value, Texture | VertexColours):
+        least, largest = _UNIT if isinstance(value, VertexColours) else images[value.image].values
         return np.full(3, least), np.full(3, largest)
-    channels = np.broadcast_to(np.asarray(value, np.float64), 3)
+    given = default if value is None else value
+    channels = np.broadcast_to(np.asarray(given, np.float64), 3)
     return channels, channels

@@ -1,6 +1,7 @@
 """The program `lumitree`: parses the command line, runs one command, prints errors in one line."""
 
 import contextlib
+import errno
 import functools
 import io
 import json
@@ -17,10 +18,14 @@ from lumitree.cli.commands import COMMANDS, Command, Given, join_groups
 from lumitree.cli.output import LONGEST_LINE
 from lumitree.cli.signatures import OUTPUTS, command
 from lumitree.core.backend import quieten
-from lumitree.core.interrupt import deferred_interrupt, interruptible, interruption_behind
-from lumitree.core.program import ignore_signals, open_streams
-from lumitree.core.system import is_broken_pipe
-from lumitree.core.work_folder import remove_abandoned_scratch
+from lumitree.core.files import remove_abandoned_scratch
+from lumitree.core.interruption import (
+    deferred_interrupt,
+    ignore_signals,
+    interruptible,
+    interruption_behind,
+    open_streams,
+)
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 
 DEBUG = "LUMITREE_DEBUG"
@@ -147,7 +152,8 @@ def _show(command: Command, given: Given, result: Any) -> None:
         command.print(result, given)
         sys.stdout.flush()
     except OSError as error:
-        if is_broken_pipe(error):
+        # On Windows the error is only an invalid argument.
+        if isinstance(error, BrokenPipeError) or (os.name == "nt" and error.errno == errno.EINVAL):
             raise BrokenPipeError from error
         # Else the end of the process tries to write the same again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -40,7 +40,6 @@ from lumitree.cli.signatures import (
     options_of,
     vector,
 )
-from lumitree.core.system import SEPARATORS, SHELL_EXPANDS
 from lumitree.errors import LumitreeError, shown
 
 Given = dict[str, Any]
@@ -143,12 +142,12 @@ def workers(given: Given) -> Iterator[Given]:
     if count is not None and address is not None:
         raise LumitreeError("--workers and --scheduler are given; give one of them")
     if count is not None:
-        from lumitree.core.process_pool import process_pool
+        from lumitree.core.executor import process_pool
 
         with process_pool(count) as executor:
             yield given | {"executor": executor}
     elif address is not None:
-        from lumitree.core.dask_executor import dask_executor
+        from lumitree.core.executor import dask_executor
 
         with dask_executor(address) as executor:
             yield given | {"executor": executor}
@@ -292,7 +291,7 @@ def _bake(given: Given) -> Any:
     sources = [luminaire(name, given) for name in listed(names)]
     for name in _READING:
         given.pop(name, None)
-    if len(sources) == 1 and not output.endswith(SEPARATORS):
+    if len(sources) == 1 and not output.endswith(("/", os.sep)):
         (source,) = sources
         for extra, name in ((task, "--task"), (source.title, f"{shown(source.title)}=")):
             if extra is not None:
@@ -337,7 +336,7 @@ def listed(names: Iterable[str]) -> list[str]:
     for name in names:
         if not name.startswith("@"):
             # Where the shell leaves patterns such as *.ies to the program.
-            expands = not SHELL_EXPANDS and glob.has_magic(name) and not os.path.exists(name)
+            expands = os.name == "nt" and glob.has_magic(name) and not os.path.exists(name)
             found += (sorted(glob.glob(name)) if expands else []) or [name]
             continue
         content = in_utf8(read_bytes(name[1:], "a list of luminaires", _MAX_LIST_BYTES))
@@ -491,8 +490,8 @@ def _mix(given: Given) -> Any:
 
 
 def _view(given: Given) -> Any:
-    from lumitree.core.interrupt import deferred_interrupt
-    from lumitree.output.viewer.server import address, open_server
+    from lumitree.core.interruption import deferred_interrupt
+    from lumitree.viewer.view import address, open_server
 
     given = dict(given)
     port = given.pop("port", 0)

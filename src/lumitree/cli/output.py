@@ -4,8 +4,8 @@ import os
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+from lumitree.core.photometry import flux_text
 from lumitree.errors import shown
-from lumitree.trace.flux_figures import flux_text
 
 LONGEST_LINE = 1000
 # Longest lists of lamps and shapes that are printed whole.
@@ -91,7 +91,7 @@ def print_metrics(report: dict[str, Any]) -> None:
 
 def print_lamps(lamps: Sequence[Any]) -> None:
     """Print one line per `BakedLamp`; of more than 100 only those that are not complete."""
-    from lumitree.fit.catalogue.page import counted, lumens_text
+    from lumitree.many.page import counted, lumens_text
 
     complete = [lamp for lamp in lamps if lamp.state in ("baked", "kept")]
     shortened = len(lamps) > _MOST_LAMPS
@@ -99,13 +99,13 @@ def print_lamps(lamps: Sequence[Any]) -> None:
         if shortened and lamp.state in ("baked", "kept"):
             continue
         text = lamp.state if lamp.error is None else f"{lamp.state}: {lamp.error}"
-        if lamp.figures:
-            size = _megabytes(lamp.figures["file_bytes"])
-            text += f", {lumens_text(lamp.figures['lumens'])}, {size}, {lamp.seconds:,.0f} s"
+        if lamp.path is not None:
+            size = _megabytes(lamp.file_bytes)
+            text += f", {lumens_text(lamp.lumens)}, {size}, {lamp.seconds:,.0f} s"
         print(f"{shown(lamp.name):>20}  {shown(text, LONGEST_LINE)}")
     if shortened:
         new = sum(lamp.state == "baked" for lamp in complete)
-        size = sum(lamp.figures["file_bytes"] for lamp in complete)
+        size = sum(lamp.file_bytes for lamp in complete)
         print(f"{counted(new)} baked, {len(complete) - new:,} kept, {_megabytes(size)}")
 
 

@@ -60,6 +60,13 @@ _quiet = _warned_of_gpu = False
 _threads: int | None = None
 
 
+def num_cores() -> int:
+    """Cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 def select_llvm() -> None:
     """Set the libLLVM that Dr.Jit loads, unless Dr.Jit is loaded or the user has set one."""
     if "drjit" in sys.modules or os.environ.get("DRJIT_LIBLLVM_PATH"):

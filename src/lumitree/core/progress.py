@@ -12,6 +12,8 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any, Protocol
 
+from lumitree.core.interruption import raise_interruption
+
 # Tasks shorter than this show nothing.
 _QUIET_SECONDS = 2.0
 _LOG_SECONDS = 15.0
@@ -47,7 +49,11 @@ ProgressCallback = Callable[[Progress], None]
 
 class Advance(Protocol):
     def __call__(self, amount: float, note: str = "") -> None:
-        """Report that `amount` more units of work are done, with an optional short note."""
+        """Report that `amount` more units of work are done, with an optional short note.
+
+        Raises:
+            Interrupted: a stop signal is pending; see `core.interruption`.
+        """
 
 
 class _Display:
@@ -169,6 +175,7 @@ def progress(description: str, total: float, done: float = 0) -> Iterator[Advanc
         nonlocal done, latest
         done, latest = done + amount, note
         report(False)
+        raise_interruption()
 
     _current.set(Progress(description, done, total, 0.0, None, "", False, within))
     try:

@@ -42,8 +42,7 @@ class Purpose(enum.IntEnum):
     ASSET_FLUX = 19  # flux of an asset without a light field
     EXPORT = 20  # clusters of a light field
     LINES = 21  # total flux from camera paths; step: batch
-    # Light that ends on a luminaire; draw 0: which segments, 2: places in cells, step: batch; draw
-    # 1: curves.
+    # Light that ends on a luminaire; see `fit.light_field.inside.EndingDraw`.
     ENDING = 22
     # 23 belonged to rays through a lamp's own surfaces.
     RECEIVED = 24  # irradiance at points of a scene; step: samples at once

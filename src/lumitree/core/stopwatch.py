@@ -1,11 +1,15 @@
-"""Measurement of time by stage."""
+"""Measurement of time by stage, and of memory."""
 
 import contextlib
+import sys
 import time
 from collections.abc import Iterator
 from typing import Any
 
-from lumitree.core.system import peak_memory_bytes
+try:
+    import resource
+except ImportError:  # Windows
+    resource = None
 
 
 class Stopwatch:
@@ -31,3 +35,11 @@ class Stopwatch:
     def costs(self) -> dict[str, Any]:
         """Values of the fields of `Result`."""
         return {"seconds": self.seconds, "peak_memory_bytes": peak_memory_bytes()}
+
+
+def peak_memory_bytes() -> int:
+    """Largest resident memory of this process so far, in bytes; 0 on Windows."""
+    if resource is None:
+        return 0
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else peak * 1024

@@ -12,13 +12,12 @@ from lumitree.core.arguments import check_asset_output
 from lumitree.core.backend import load_rgb
 from lumitree.core.dataset import Dataset
 from lumitree.core.executor import check_executor
-from lumitree.core.files import FilePath
+from lumitree.core.files import FilePath, WorkFolder
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.progress import progress as steps
 from lumitree.core.seeds import check_seed
 from lumitree.core.stopwatch import Stopwatch
 from lumitree.core.turns import in_turn
-from lumitree.core.work_folder import WorkFolder
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.fit.bake_network import bake_network
 from lumitree.fit.config import BakeConfig, Method, Quality, chosen_config
@@ -341,7 +340,10 @@ def refine(
         with watch.stage("bake"):
             fit = octree_fit.refine(rough, lamp, octree, at.path, seed)
         better = dataclasses.replace(
-            fit.asset, light_field=rough.light_field, geometry=rough.geometry, gain=rough.gain
+            fit.asset,
+            light_field=rough.light_field,
+            geometry=rough.geometry,
+            light_factors=rough.light_factors,
         )
         return _finish_fit(fit, better, output, watch, at, work, lamp, irradiance_paths)
 

@@ -18,14 +18,18 @@ from lumitree.core.backend import load_rgb
 from lumitree.core.dataset import DATASET_FILES, MANIFEST, MAX_VIEWS, Split
 from lumitree.core.executor import check_executor
 from lumitree.core.extras import check_network
-from lumitree.core.files import FilePath, WriteError, check_writable
-from lumitree.core.interrupt import Interrupted
+from lumitree.core.files import (
+    FilePath,
+    WorkFolder,
+    WriteError,
+    check_writable,
+    scratch_folder,
+)
+from lumitree.core.interruption import Interrupted
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.seeds import check_seed
-from lumitree.core.stopwatch import Stopwatch
-from lumitree.core.system import peak_memory_bytes
+from lumitree.core.stopwatch import Stopwatch, peak_memory_bytes
 from lumitree.core.turns import in_turn
-from lumitree.core.work_folder import WorkFolder, scratch_folder
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.fit.config import BakeConfig
 from lumitree.fit.finishing import finish_bake, remove_state
@@ -57,7 +61,7 @@ def bake_network(
         Interrupted: a signal was received before the asset was complete.
     """
     check_network()
-    from lumitree.fit.network.run import RUN_FILES, has_checkpoint
+    from lumitree.fit.network.train import RUN_FILES, has_checkpoint
     from lumitree.lamp.loading import load_luminaire
     from lumitree.lamp.sent import lamp_workers
 
@@ -145,7 +149,7 @@ def capture(
     load_rgb(variant)
     from lumitree.lamp.loading import load_luminaire
     from lumitree.lamp.sent import lamp_workers
-    from lumitree.trace.capture import capture as capture_views
+    from lumitree.trace.cameras import capture as capture_views
 
     watch = Stopwatch()
     with reporting(progress), watch.stage("capture"):

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 from lumitree.asset.asset import Asset
 from lumitree.asset.file import as_stored, save
-from lumitree.core.files import FilePath, WriteError
-from lumitree.core.interrupt import deferred_interrupt, interruptible, interruption_behind
+from lumitree.core.files import FilePath, WorkFolder, WriteError, scratch_folder
+from lumitree.core.interruption import deferred_interrupt, interruptible, interruption_behind
 from lumitree.core.stopwatch import Stopwatch
-from lumitree.core.work_folder import WorkFolder, scratch_folder
 from lumitree.errors import LumitreeError, shown
 from lumitree.fit.result import BakeResult
 from lumitree.measure.irradiance_check import measure_irradiance
@@ -81,7 +80,7 @@ def finish_bake(
         figures: other fields of the result.
     """
     if luminaire is not None:
-        from lumitree.trace.emitted_spectrum import emitted_spectrum
+        from lumitree.trace.flux import emitted_spectrum
 
         asset = dataclasses.replace(asset, spectrum=emitted_spectrum(luminaire))
     asset = as_stored(asset)

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
 from lumitree.asset.geometry import AssetGeometry
-from lumitree.core.files import write_bytes
+from lumitree.core.files import scratch_folder, write_bytes
 from lumitree.core.frames import LocalFrame
-from lumitree.core.work_folder import scratch_folder
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.formats.archive import Archive
 from lumitree.formats.gldf import KIND, GldfEmitter, GldfFile, GldfVariant, read_variant

@@ -2,19 +2,20 @@
 
 import numpy as np
 
-from lumitree.asset.textures import Json
+from lumitree.asset.materials import Metal, Texture, VertexColours
 from lumitree.core.backend import load_mitsuba
 
 
-def normal_reflectance(material: Json) -> list[float]:
+def normal_reflectance(metal: Metal) -> list[float]:
     """Reflectance [3] of a conductor at normal incidence, by Fresnel's equations."""
     mi = load_mitsuba()
-    given = {name: material[name] for name in ("material", "eta", "k") if name in material}
-    if any(isinstance(value, dict) for value in given.values()):
+    given = {"material": metal.material, "eta": metal.eta, "k": metal.k}
+    if any(isinstance(value, Texture | VertexColours) for value in given.values()):
         return [1.0, 1.0, 1.0]
     colours = {
-        name: {"type": "rgb", "value": value} if isinstance(value, list) else value
+        name: {"type": "rgb", "value": list(value)} if isinstance(value, tuple) else value
         for name, value in given.items()
+        if value is not None
     }
     parameters = mi.traverse(mi.load_dict({"type": "conductor", **colours}))
     eta, k = (

@@ -4,9 +4,11 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lumitree.asset.geometry_media import MAX_ANISOTROPY, SideMedium, described_medium
+from lumitree.asset.geometry import MAX_ANISOTROPY, Medium
 from lumitree.core.backend import load_mitsuba
+from lumitree.core.photometry import RGB
 from lumitree.errors import LumitreeError
 
 # Smallest extinction of a channel of a medium, relative to its largest one.
@@ -54,13 +56,18 @@ def absorption(medium: Any) -> list[float] | None:
     return None if np.ravel(scattering).any() else np.ravel(extinction).tolist()
 
 
-def stored_medium(medium: Any) -> Any:
-    """The record (`asset.geometry_media`) of a homogeneous mi.Medium."""
+def stored_medium(medium: Any) -> Medium:
+    """A homogeneous mi.Medium as the geometry of an asset has it."""
     found = [np.ravel(np.array(each, np.float64)) for each in _coefficients(medium)]
     scattering, extinction = found[0], found[2]
     anisotropy = _anisotropy(medium.phase_function()) if scattering.any() else 0.0
     absorption = np.maximum(extinction - scattering, 0)
-    return described_medium(SideMedium(absorption, scattering, anisotropy))
+    return Medium(_rgb(absorption), _rgb(scattering), anisotropy)
+
+
+def _rgb(values: NDArray[np.float64]) -> RGB:
+    red, green, blue = values.tolist()
+    return (red, green, blue)
 
 
 def _anisotropy(phase: Any) -> float:

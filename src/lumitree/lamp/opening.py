@@ -10,8 +10,8 @@ from typing import Any
 
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.file_kinds import what_it_is
+from lumitree.core.files import ScratchFolder
 from lumitree.core.reading import read_bytes
-from lumitree.core.work_folder import ScratchFolder
 from lumitree.errors import LumitreeError, shown, shown_names
 from lumitree.lamp.builtin.registry import BUILTIN
 from lumitree.lamp.importers.model_folder import MAX_MODEL_BYTES, noted_files

@@ -11,11 +11,11 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
+from lumitree.asset.materials import Conductor
 from lumitree.core.backend import load_mitsuba, second_thread
-from lumitree.core.files import atomic_path
+from lumitree.core.files import accepts_name, atomic_path
 from lumitree.core.frames import is_far, similarity
 from lumitree.core.mitsuba_meshes import VERTEX_COLOUR, make_mesh
-from lumitree.core.system import accepts_name
 from lumitree.lamp.conductors import normal_reflectance
 from lumitree.lamp.masked_emission import MaskedEmission
 from lumitree.lamp.meshes import Floats, Mesh
@@ -143,7 +143,7 @@ class _Writer:
     def _metal(self, parent: Element, metal: Metal, name: dict[str, str]) -> None:
         rough = metal.roughness >= _SMOOTH
         if rough and metal.microfacets == "ggx":
-            reflectance = normal_reflectance({"material": metal.conductor})
+            reflectance = normal_reflectance(Conductor(material=metal.conductor))
             colour = tuple((np.array(metal.tint) * reflectance).tolist())
             surface = Principled(colour, metallic=1.0, roughness=metal.roughness)
             self._principled(parent, surface, name)

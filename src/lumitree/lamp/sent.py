@@ -7,7 +7,7 @@ import warnings
 from concurrent.futures import Executor
 from typing import Any
 
-from lumitree.core.packing import packed, unpacked
+from lumitree.core.executor import packed, unpacked
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.lamp.builtin.registry import BUILTIN
 from lumitree.lamp.luminaire import Luminaire, LuminaireLike

@@ -1,5 +1,6 @@
 """A luminaire as the geometry of an asset: its meshes and images as arrays, its BSDFs by name."""
 
+import dataclasses
 from collections import defaultdict
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -9,18 +10,39 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.checks import naming
-from lumitree.asset.geometry import ARRAYS, AssetGeometry, check_surface
-from lumitree.asset.materials import MAX_NESTING, check_material, check_radiance
-from lumitree.asset.textures import ImageFacts, Json
+from lumitree.asset.geometry import (
+    ARRAYS,
+    UNIT_SHAPES,
+    AssetGeometry,
+    Medium,
+    MeshArrays,
+    MeshShape,
+    Shape,
+    UnitShape,
+)
+from lumitree.asset.materials import (
+    MAX_NESTING,
+    Diffuse,
+    Image,
+    ImageFacts,
+    Material,
+    Parameter,
+    Radiance,
+    Texture,
+    VertexColours,
+    check_material,
+    check_radiance,
+    check_surface,
+    make_material,
+)
 from lumitree.core.backend import load_mitsuba, second_thread
-from lumitree.core.mitsuba_meshes import is_flipped, mesh_arrays
+from lumitree.core.mitsuba_meshes import VERTEX_COLOUR, is_flipped, mesh_arrays
 from lumitree.errors import LumitreeError, shown
 from lumitree.lamp.luminaire import Luminaire
 from lumitree.lamp.media import stored_medium
 from lumitree.lamp.meshes import area_normals
 from lumitree.lamp.scene_file import SceneFile
 
-_ANALYTIC = ("sphere", "disk", "cylinder", "rectangle")
 # For all copies of instances; an asset has 36 bytes for each.
 _MAX_PRIMITIVES = 20_000_000
 _BITMAP = ("filename", "raw", "filter_type", "wrap_mode", "to_uv")
@@ -33,7 +55,7 @@ def stored_geometry(luminaire: Luminaire) -> AssetGeometry:
 
     Raises:
         LumitreeError: the luminaire cannot be stored: it has a shape, BSDF, texture, emitter or
-            medium that is not in the lists of `asset.materials` and `asset.geometry_media`, its
+            medium that is not in the lists of `asset.materials`, its
             instances have too many triangles, or it was made from a mi.Scene. The message is the
             reason.
     """
@@ -54,10 +76,10 @@ class _Reader:
 
     def __init__(self, file: SceneFile) -> None:
         self._file = file
-        self._images: list[NDArray[Any]] = []
+        self._images: list[Image] = []
         self._facts: list[ImageFacts] = []
         self._image_of: dict[tuple[Path, bool], int] = {}
-        self._materials: list[Json] = []
+        self._materials: list[Material] = []
 
     def read(self, shapes: list[Any], origin: NDArray[np.float64]) -> AssetGeometry:
         nodes = self._file.nodes("Shape")
@@ -68,74 +90,76 @@ class _Reader:
                 described.append(self._describe(node.props))
         if len(shapes) != len(nodes):
             raise LumitreeError("a shape that becomes several, such as `merge`, is not stored")
-        meshes: dict[str, list[tuple[Json, dict[str, NDArray[Any]]]]] = defaultdict(list)
-        others = []
-        mirrored = self._file.mirrored()
-        for turned, name, shape, description in zip(
-            mirrored, names, shapes, described, strict=True
+        # Meshes that become one, by their properties and the names of their arrays.
+        meshes: dict[str, list[tuple[Shape, MeshArrays]]] = defaultdict(list)
+        others: list[Shape] = []
+        for turned, node, name, shape, properties in zip(
+            self._file.mirrored(), nodes, names, shapes, described, strict=True
         ):
+            plugin = node.props.plugin_name()
             with _of_shape(name):
-                description |= _media(shape)
-            mesh = {}
+                properties = dataclasses.replace(properties, **_media(shape))
+            mesh: MeshArrays = {}
             # A rectangle is a mesh to Mitsuba.
-            if shape.is_mesh() and description["type"] not in _ANALYTIC:
-                mesh, description["flipped"] = mesh_arrays(shape), is_flipped(shape)
+            if shape.is_mesh() and plugin not in UNIT_SHAPES:
+                mesh = mesh_arrays(shape)
+                properties = dataclasses.replace(properties, flipped=is_flipped(shape))
                 if turned:
                     _turn(mesh)
             with _of_shape(name):
-                material = self._materials[description["material"]]
-                check_surface(material, description["radiance"], mesh, self._facts)
+                material = self._materials[properties.material]
+                check_surface(material, properties.radiance, mesh, self._facts)
             if mesh:
-                key = repr((description, sorted(mesh)))
-                meshes[key].append((description, mesh))
+                meshes[repr((plugin, properties, sorted(mesh)))].append((properties, mesh))
             else:
-                others.append(_analytic(name, shape, description))
+                others.append(_unit_shape(name, plugin, shape, properties))
         return _joined(meshes, others, self._images, self._materials, origin)
 
-    def _describe(self, props: Any) -> Json:
-        """Properties of a shape besides its geometry."""
-        plugin = props.plugin_name()
-        radiance, material = None, None
+    def _describe(self, props: Any) -> Shape:
+        """Properties of a shape besides its form and its media."""
+        radiance: Radiance | None = None
+        material: Material | None = None
         for child in self._children(props).values():
             if child.type == load_mitsuba().ObjectType.Emitter:
                 radiance = self._radiance(child.props)
             elif child.type == load_mitsuba().ObjectType.BSDF:
                 material = self._material(child.props)
             elif child.type != load_mitsuba().ObjectType.Medium:
-                raise LumitreeError(f"a {plugin} holds an object that is not stored")
+                raise LumitreeError(f"a {props.plugin_name()} holds an object that is not stored")
         if material is None:
             # As Mitsuba has it: what emits reflects nothing.
-            material = {"type": "diffuse"} | ({} if radiance is None else {"reflectance": 0.0})
+            material = Diffuse(reflectance=None if radiance is None else 0.0)
         check_material(material, self._facts)
         if material not in self._materials:
             self._materials.append(material)
-        return {
-            "type": plugin,
-            "material": self._materials.index(material),
-            "radiance": radiance,
-            "flipped": bool(props.get("flip_normals", False)),
-        }
+        return Shape(
+            material=self._materials.index(material),
+            radiance=radiance,
+            flipped=bool(props.get("flip_normals", False)),
+        )
 
-    def _radiance(self, props: Any) -> Any:
+    def _radiance(self, props: Any) -> Radiance:
         if props.plugin_name() != "area":
             raise LumitreeError(f"an emitter {props.plugin_name()!r} is not stored; expected area")
-        values = self._values(props)
+        values, _ = self._values(props)
         if set(values) - {"radiance"}:
             raise LumitreeError("an area emitter has parameters that are not stored")
-        radiance = values.get("radiance", [1.0, 1.0, 1.0])
+        radiance: Any = values.get("radiance", (1.0, 1.0, 1.0))
         check_radiance(radiance, self._facts)
         return radiance
 
-    def _material(self, props: Any, nesting: int = 1) -> Json:
-        # Refused here already: materials may hold one that they share in very many ways.
+    def _material(self, props: Any, nesting: int = 1) -> Material:
+        # Refused here already: materials may share a nested one in very many ways.
         if nesting > MAX_NESTING:
             raise LumitreeError(f"materials are nested more than {MAX_NESTING} deep")
-        return {"type": props.plugin_name(), **self._values(props, nesting)}
+        values, nested = self._values(props, nesting)
+        return make_material(props.plugin_name(), values, nested)
 
-    def _values(self, props: Any, nesting: int = 1) -> Json:
-        """Parameters of a plugin, and the materials that it holds."""
+    def _values(self, props: Any, nesting: int = 1) -> tuple[dict[str, Parameter], list[Material]]:
+        """Parameters of a plugin, and its nested materials."""
         mi = load_mitsuba()
-        values: Json = {}
+        values: dict[str, Parameter] = {}
+        nested: list[Material] = []
         children = self._children(props)
         for name in list(props.keys()):
             child = children.get(name)
@@ -147,16 +171,15 @@ class _Reader:
                 key = "bumpmap" if props.plugin_name() == "bumpmap" else name
                 values[key] = self._texture(child.props)
             elif child.type == mi.ObjectType.BSDF:
-                held = self._material(child.props, nesting + 1)
-                values.setdefault("nested", []).append(held)
+                nested.append(self._material(child.props, nesting + 1))
             else:
                 raise LumitreeError(f"{props.plugin_name()} holds an object that is not stored")
-        return values
+        return values, nested
 
     def _children(self, props: Any) -> dict[str, Any]:
         return self._file.children(props)
 
-    def _texture(self, props: Any) -> Json:
+    def _texture(self, props: Any) -> Texture | VertexColours:
         plugin = props.plugin_name()
         attribute = plugin == "mesh_attribute"
         if not attribute and (plugin != "bitmap" or "filename" not in props):
@@ -165,16 +188,18 @@ class _Reader:
         if unknown := sorted(set(props.keys()) - set(known)):
             raise LumitreeError(f"a {plugin} has a parameter {unknown[0]!r} that is not stored")
         if attribute:
-            return {"attribute": str(props.get("name", ""))}
+            if (name := str(props.get("name", ""))) != VERTEX_COLOUR:
+                raise LumitreeError(f"a mesh_attribute {name!r} is not stored")
+            return VertexColours()
         raw = bool(props.get("raw", False))
         to_uv = props.get("to_uv", load_mitsuba().ScalarTransform4f())
-        return {
-            "image": self._image(self._file.resolve(props["filename"]), raw),
-            "raw": raw,
-            "filter_type": str(props.get("filter_type", "bilinear")),
-            "wrap_mode": str(props.get("wrap_mode", "repeat")),
-            "to_uv": np.array(to_uv.matrix, np.float64).tolist(),
-        }
+        return Texture(
+            image=self._image(self._file.resolve(props["filename"]), raw),
+            raw=raw,
+            filter_type=props.get("filter_type", "bilinear"),
+            wrap_mode=props.get("wrap_mode", "repeat"),
+            to_uv=tuple(map(tuple, np.array(to_uv.matrix, np.float64).tolist())),
+        )
 
     def _image(self, path: Path, raw: bool) -> int:
         """Index of the image of a file: 8 bits a channel as they are, others as linear numbers.
@@ -201,17 +226,18 @@ def _of_shape(name: str) -> AbstractContextManager[None]:
     return naming(lambda: f"shape {name!r}")
 
 
-def _plain(name: str, value: Any) -> Any:
-    """A number, text or colour as JSON has it."""
+def _plain(name: str, value: Any) -> Parameter:
+    """A number, a text or a colour."""
     if isinstance(value, bool | int | float | str):
         return value
     numbers = np.ravel(np.array(value, np.float64))
     if numbers.shape != (3,):
         raise LumitreeError(f"a parameter {shown(name, 60)!r} of a BSDF is not stored")
-    return numbers.tolist()
+    red, green, blue = numbers.tolist()
+    return (red, green, blue)
 
 
-def _colour(props: Any, name: str) -> Any:
+def _colour(props: Any, name: str) -> Parameter:
     """A spectrum as the RGB, or the number, that RGB variants of Mitsuba take it for."""
     # Values that may exceed 1, and values that are light.
     if name == "radiance":
@@ -221,16 +247,16 @@ def _colour(props: Any, name: str) -> Any:
     else:
         texture = props.get_texture(name)
     value = np.ravel(np.array(load_mitsuba().traverse(texture)["value"], np.float64)).tolist()
-    return value if len(value) == 3 else value[0]
+    return (value[0], value[1], value[2]) if len(value) == 3 else value[0]
 
 
-def _media(shape: Any) -> Json:
-    """Media inside and outside of a shape, by the names of `AssetGeometry`."""
+def _media(shape: Any) -> dict[str, Medium]:
+    """Media inside and outside of a mi.Shape, by the names of `Shape`."""
     found = {"interior": shape.interior_medium(), "exterior": shape.exterior_medium()}
     return {side: stored_medium(medium) for side, medium in found.items() if medium is not None}
 
 
-def _turn(mesh: dict[str, NDArray[Any]]) -> None:
+def _turn(mesh: MeshArrays) -> None:
     """Turn the faces of a mesh round, and its normals if Mitsuba has made them from the faces."""
     mesh["faces"] = mesh["faces"][:, ::-1]
     if "normals" in mesh:
@@ -240,28 +266,28 @@ def _turn(mesh: dict[str, NDArray[Any]]) -> None:
             mesh["normals"] = -mesh["normals"]
 
 
-def _analytic(name: str, shape: Any, description: Json) -> Json:
-    if description["type"] not in _ANALYTIC:
-        raise LumitreeError(f"shape {name!r} is a {description['type']}, which is not stored")
+def _unit_shape(name: str, plugin: str, shape: Any, properties: Shape) -> UnitShape:
+    if plugin not in UNIT_SHAPES:
+        raise LumitreeError(f"shape {name!r} is a {plugin}, which is not stored")
     matrix = np.array(load_mitsuba().traverse(shape)["to_world"].matrix, np.float64)
-    matrix = matrix.reshape(4, 4)
-    if description["type"] == "disk":
+    to_world = tuple(map(tuple, matrix.reshape(4, 4).tolist()))
+    if plugin == "disk":
         # Its matrix has the turned normal already.
-        description = {**description, "flipped": False}
-    return {**description, "to_world": matrix.tolist()}
+        properties = dataclasses.replace(properties, flipped=False)
+    return UnitShape(type=plugin, to_world=to_world, **vars(properties))
 
 
 def _joined(
-    meshes: "dict[str, list[tuple[Json, dict[str, NDArray[Any]]]]]",
-    others: list[Json],
-    images: list[NDArray[Any]],
-    materials: list[Json],
+    meshes: dict[str, list[tuple[Shape, MeshArrays]]],
+    others: list[Shape],
+    images: list[Image],
+    materials: list[Material],
     origin: NDArray[np.float64],
 ) -> AssetGeometry:
-    shapes = []
+    shapes: list[Shape] = []
     arrays: dict[str, list[NDArray[Any]]] = {name: [] for name in ARRAYS}
     for group in meshes.values():
-        description = group[0][0]
+        properties, names = group[0][0], group[0][1].keys()
         first = 0
         for _, mesh in group:
             for name, values in mesh.items():
@@ -269,13 +295,12 @@ def _joined(
                 arrays[name].append(values + np.asarray(offset, values.dtype))
             first += len(mesh["vertices"])
         shapes.append(
-            {
-                **description,
-                "type": "mesh",
-                "vertices": first,
-                "faces": sum(len(mesh["faces"]) for _, mesh in group),
-                **{name: name in group[0][1] for name in ("normals", "texcoords", "colours")},
-            }
+            MeshShape(
+                vertices=first,
+                faces=sum(len(mesh["faces"]) for _, mesh in group),
+                **{name: name in names for name in ("normals", "texcoords", "colours")},
+                **vars(properties),
+            )
         )
     joined: dict[str, NDArray[Any]] = {
         name: np.concatenate([np.zeros((0, width), dtype), *arrays[name]])

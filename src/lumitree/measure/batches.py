@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from lumitree.core.seeds import SeedStream
 
 if TYPE_CHECKING:
-    from lumitree.trace.emitted_rays import EmittedRays, RayBatch
+    from lumitree.trace.light_paths import EmittedRays, RayBatch
 
 # Independent batches whose spread is the noise of an estimate.
 BATCHES = 16

@@ -19,13 +19,12 @@ from lumitree.core.arguments import (
 )
 from lumitree.core.backend import load_rgb
 from lumitree.core.dataset import MAX_VIEWS, Dataset
-from lumitree.core.files import FilePath, write_bytes
+from lumitree.core.files import FilePath, scratch_folder, write_bytes
 from lumitree.core.image_settings import image_settings
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.results import ImageResult, Json
 from lumitree.core.stopwatch import Stopwatch
 from lumitree.core.turns import in_turn
-from lumitree.core.work_folder import scratch_folder
 from lumitree.errors import LumitreeError
 from lumitree.lamp.diagnosis import warn_of_faults
 from lumitree.lamp.source import dataset_folder
@@ -174,13 +173,13 @@ def evaluate(
             budget["irradiance_paths"] = irradiance_paths
         settings = image_settings("evaluate", asset=title, **budget, variant=mi.variant())
         with watch.stage("evaluate"):
-            result = evaluate_views(baked.without_gain, dataset)
+            result = evaluate_views(baked.without_factors, dataset)
             png = draw_sheet(result.rows, result.max_radiance, title).png(settings)
             if sheet is not None:
                 write_bytes(sheet, png)
         if lamp is not None and irradiance_paths > 0:
             with watch.stage("irradiance"):
-                irradiance = evaluate_irradiance(baked.without_gain, lamp, irradiance_paths)
+                irradiance = evaluate_irradiance(baked.without_factors, lamp, irradiance_paths)
                 flux = {"flux": check_flux(lamp, irradiance.explicit)}
                 irradiance_png = draw_irradiance(irradiance, title).png(settings)
                 if irradiance_sheet is not None:
@@ -215,7 +214,7 @@ def _references(
     """
     from lumitree.lamp.loading import load_luminaire
     from lumitree.measure.view_errors import check_proportions
-    from lumitree.trace.capture import capture
+    from lumitree.trace.cameras import capture
 
     if (stored := dataset_folder(target)) is not None:
         return None, Dataset.open(stored)
@@ -298,7 +297,9 @@ def compare_assets(
     settings = image_settings("evaluate", asset=title, irradiance_paths=irradiance_paths)
     watch = Stopwatch()
     with watch.stage("irradiance"):
-        found = evaluate_irradiance(asset.without_gain, reference.without_gain, irradiance_paths)
+        found = evaluate_irradiance(
+            asset.without_factors, reference.without_factors, irradiance_paths
+        )
         png = draw_irradiance(found, title).png(settings)
         if sheet is not None:
             write_bytes(sheet, png)

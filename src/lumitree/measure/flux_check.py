@@ -10,13 +10,12 @@ import warnings
 
 import numpy as np
 
-from lumitree.core.photometry import luminance
+from lumitree.core.photometry import Flux, flux_text, luminance
 from lumitree.core.results import Json
 from lumitree.errors import LumitreeWarning
 from lumitree.lamp.luminaire import Luminaire
 from lumitree.measure.irradiance import CUBE_HALF_SIDE, NUM_CUBE_FACES, PATCHES, Irradiance
 from lumitree.trace.flux import estimate_flux, flux_by_camera_paths
-from lumitree.trace.flux_figures import Flux, flux_text
 
 _CAMERA_PATHS = 1 << 20
 # Before a difference is told both are estimated again, by other paths and more of them: one lamp in

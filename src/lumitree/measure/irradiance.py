@@ -25,9 +25,8 @@ from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.lamp.luminaire import Luminaire
 from lumitree.measure.batches import RayBatches, jackknife
 from lumitree.rendering.asset_rays import AssetRays
-from lumitree.trace.emitted_rays import EmittedRays, RayBatch
-from lumitree.trace.lamp_rays import LampRays
-from lumitree.trace.tracing import PATH_DEPTH
+from lumitree.trace.cameras import PATH_DEPTH
+from lumitree.trace.light_paths import EmittedRays, LampRays, RayBatch
 
 FACES = ("-x", "+x", "-y", "+y", "-z", "+z", "touching")
 # The first faces are the faces of the cube.

@@ -48,7 +48,7 @@ def measure_irradiance(
     from lumitree.measure.irradiance import evaluate_irradiance
 
     with watch.stage("irradiance"):
-        found = evaluate_irradiance(asset.without_gain, luminaire, num_paths)
+        found = evaluate_irradiance(asset.without_factors, luminaire, num_paths)
         if asset.light_field is not None:
             _warn_of_error(found.error, asset.light_field, asset.luminaire)
         return found.metrics | found.report() | {"flux": check_flux(luminaire, found.explicit)}

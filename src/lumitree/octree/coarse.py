@@ -39,7 +39,7 @@ class CoarseField:
     law: Law = "exponential"
     l_max: int = 0
     max_radiance: float = 0.0
-    gain: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    light_factors: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
     @property
     def num_leaves(self) -> int:

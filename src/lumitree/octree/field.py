@@ -59,7 +59,7 @@ class Field:
         self._density = on_device(mi.Float, asset.density if asset.num_leaves else [0.0])
         packets, unit = _packets(asset)
         self._unit = parameter(mi.Float, 2.0**112 * unit)
-        largest = (asset.max_radiance * factor for factor in asset.gain)
+        largest = (asset.max_radiance * factor for factor in asset.light_factors)
         self._max_radiance = parameter(mi.Color3f, *largest)
         self._coefficients = on_device(mi.UInt32, packets)
         dr.eval(self._density, self._coefficients)

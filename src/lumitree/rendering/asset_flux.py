@@ -14,7 +14,7 @@ from lumitree.core.photometry import LUMENS_PER_WATT, blackbody_colour, luminanc
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.errors import LumitreeError, shown
 from lumitree.rendering.asset_rays import AssetRays
-from lumitree.trace.emitted_rays import as_rows
+from lumitree.trace.light_paths import as_rows
 
 # Rays that estimate the flux of a field, to about 0.1 to 0.5 %, in some tenths of a second.
 FIELD_RAYS = 1 << 20
@@ -39,7 +39,7 @@ def intensity_by_bin(asset: Asset) -> NDArray[np.float64]:
     """
     field = asset.light_field
     assert field is not None
-    colours = luminance(unpack(field.intensity) * asset.gain)
+    colours = luminance(unpack(field.intensity) * asset.light_factors)
     return field.scale * field.dense(colours).sum(axis=0)
 
 
@@ -74,7 +74,7 @@ def asset_watts(asset: Asset) -> NDArray[np.float64]:
     light field it is estimated from 2²⁰ rays of the field, always with the same random numbers.
     """
     if asset.light_field is not None:
-        return light_field_watts(asset.light_field) * asset.gain * asset.frame.scale**2
+        return light_field_watts(asset.light_field) * asset.light_factors * asset.frame.scale**2
     rays = AssetRays(asset).draw(FIELD_RAYS, SeedStream(Purpose.ASSET_FLUX).seed(0))
     return as_rows(rays.flux).sum(axis=0) * asset.frame.scale**2
 
@@ -97,8 +97,8 @@ def with_light(asset: Asset, lumens: float | None, temperature: float | None) ->
     if lumens is None and temperature is None:
         return asset
     factors = gain_to(asset_watts(asset), lumens, temperature, asset.luminaire)
-    red, green, blue = (factors * asset.gain).tolist()
-    return dataclasses.replace(asset, gain=(red, green, blue))
+    red, green, blue = (factors * asset.light_factors).tolist()
+    return dataclasses.replace(asset, light_factors=(red, green, blue))
 
 
 def gain_to(

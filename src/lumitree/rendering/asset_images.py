@@ -19,7 +19,7 @@ from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.rendering.asset_views import baked_image
 from lumitree.rendering.passes import Budget, render_passes
 from lumitree.rendering.plugins.register import shape
-from lumitree.trace.tracing import PATH_DEPTH
+from lumitree.trace.cameras import PATH_DEPTH
 
 # Equal settings give equal images: there is no option for the seed.
 _ROOT_SEED = 0
@@ -69,7 +69,7 @@ def scene_alone(asset: Asset) -> dict[str, Any]:
     """
     one_cell = make_light_field(np.zeros((1, 3), np.int64), np.ones((1, 16, 3)), depth=1)
     lit = light_field_asset(one_cell, asset.frame, asset.luminaire, asset.spectrum)
-    alone = dataclasses.replace(lit, geometry=asset.geometry, gain=asset.gain)
+    alone = dataclasses.replace(lit, geometry=asset.geometry, light_factors=asset.light_factors)
     lamp = shape(alone, asset.frame.local_from_world, appearance="geometry")
     return {"type": "scene", "lamp": lamp}
 

@@ -7,7 +7,7 @@ from lumitree.octree.field import shared_field
 from lumitree.rendering.sampling.divided_sampling import emitter_sampler
 from lumitree.rendering.sampling.emitted_light import emitted_light
 from lumitree.rendering.sampling.proxy import BoxProxy
-from lumitree.trace.emitted_rays import RayBatch, seeded_sampler
+from lumitree.trace.light_paths import RayBatch, seeded_sampler
 
 
 class AssetRays:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from lumitree.core.arguments import check_image_settings, check_items, check_range
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.executor import check_executor
-from lumitree.core.files import FilePath
+from lumitree.core.files import FilePath, WorkFolder
 from lumitree.core.image_settings import image_settings
 from lumitree.core.images import check_exr_name, encode_png, write_exr
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
@@ -24,7 +24,6 @@ from lumitree.core.stopwatch import Stopwatch
 from lumitree.core.turns import in_turn
 from lumitree.core.units import metres_of
 from lumitree.core.view_transform import View, check_view, displayed, room_exposure
-from lumitree.core.work_folder import WorkFolder
 from lumitree.errors import LumitreeError, explained
 from lumitree.rendering.placement import Placement
 from lumitree.rendering.render_job import Described, RenderJob, renderer_of

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.executor import run_tasks
-from lumitree.core.packing import packed, unpacked
+from lumitree.core.executor import packed, run_tasks, unpacked
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.lamp.sent import absolute_source
 

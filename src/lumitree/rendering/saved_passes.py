@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 from lumitree._version import __version__
 from lumitree.asset.checks import expect, expect_arrays
 from lumitree.core.arguments import MAX_SAMPLES
-from lumitree.core.files import FilePath, WriteError, atomic_path
+from lumitree.core.files import FilePath, WorkFolder, WriteError, atomic_path
 from lumitree.core.reading import read_arrays, read_bytes
 from lumitree.core.results import plain
-from lumitree.core.work_folder import WorkFolder
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.lamp.source import LuminaireSource, gldf_variant
 

@@ -23,7 +23,7 @@ from lumitree.rendering.asset_images import (
     scene_alone,
     shown_images,
 )
-from lumitree.trace.tracing import PATH_DEPTH, path_integrator
+from lumitree.trace.cameras import PATH_DEPTH, path_integrator
 
 # Radiance of the backdrop and of the softboxes, relative to white; and how much brighter the lamp's
 # own light is than at its automatic exposure.

@@ -13,8 +13,8 @@ from lumitree.core.device import on_device, transforms_as_parameters
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.rendering.asset_images import scene_alone
-from lumitree.trace.emitted_rays import seeded_sampler
-from lumitree.trace.tracing import PATH_DEPTH
+from lumitree.trace.cameras import PATH_DEPTH
+from lumitree.trace.light_paths import seeded_sampler
 
 # Equal assets give equal radiance: there is no option for the seed.
 _ROOT_SEED = 0

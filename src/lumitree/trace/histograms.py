@@ -1,4 +1,10 @@
-"""Histograms of light by the cell of a grid where it starts, and by direction."""
+"""Histograms of light by the cell of a grid where it starts, and by direction.
+
+The grid has 2**depth cells a side over the cube [-1, 1]³ of the local frame. A `Histogram` grows
+with the cells in which light starts.
+"""
+
+from __future__ import annotations
 
 import dataclasses
 from typing import Any
@@ -8,9 +14,13 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.octahedral import bin_of, coarse_bin
+from lumitree.core.octahedral import bin_of
 from lumitree.core.photometry import luminance
-from lumitree.trace.ending_segments import EndingSegments, grid_cell
+
+
+def grid_cell(position: mi.Point3f, side: mi.Float | int) -> Any:
+    """Cell (mi.Point3i) of a position in a grid of `side` cells a side; the nearest, if outside."""
+    return dr.clip(mi.Point3i(dr.floor((position + 1) * (side / 2))), 0, mi.Int32(side) - 1)
 
 
 def cell_codes(cells: NDArray[np.integer], depth: int) -> NDArray[np.int64]:
@@ -41,27 +51,27 @@ class BinnedRays:
     straight: NDArray[np.bool_]
     flux: NDArray[np.floating]
 
-    def of_straight_light(self) -> "BinnedRays":
-        """The rays that are straight light."""
-        at = self.straight
-        return BinnedRays(self.codes[at], self.bins[at], at[at], self.flux[:, at])
-
 
 def bin_rays(
-    origin: Any,
-    direction: Any,
-    straight: Any,
+    origin: mi.Point3f,
+    direction: mi.Vector3f,
+    straight: mi.Bool | bool,
     flux: NDArray[np.floating],
     depth: int,
     resolution: int,
 ) -> BinnedRays:
-    """Rays (mi.Point3f, mi.Vector3f, mi.Bool, [3, N]) in a grid of 2**depth cells a side."""
-    return _binned(origin, bin_of(direction, resolution), straight, flux, depth)
+    """Rays with a flux [3, N] in a grid of 2**depth cells and R octahedral bins a side."""
+    return with_bins(origin, bin_of(direction, resolution), straight, flux, depth)
 
 
-def _binned(
-    origin: Any, bins: Any, straight: Any, flux: NDArray[np.floating], depth: int
+def with_bins(
+    origin: mi.Point3f,
+    bins: mi.UInt32,
+    straight: mi.Bool | bool,
+    flux: NDArray[np.floating],
+    depth: int,
 ) -> BinnedRays:
+    """As `bin_rays`, with the bins of directions."""
     side = 1 << depth
     cell = grid_cell(origin, side)
     code = (cell.z * side + cell.y) * side + cell.x
@@ -71,177 +81,130 @@ def _binned(
 
 @dataclasses.dataclass(frozen=True)
 class BinnedSegments:
-    """Segments that end on the luminaire.
+    """Segments that end on the luminaire: `BinnedRays`, and how far they reach.
 
     Attributes:
         rays: by cell and direction.
-        steps: [N] index of the distance after which each ends, see `distances_passed`.
+        steps: [N] index of the distance after which each ends, see `segments.distances_passed`.
     """
 
     rays: BinnedRays
     steps: NDArray[np.uint8]
 
-    def of_straight_light(self) -> "BinnedSegments":
-        """The segments that are straight light."""
-        return BinnedSegments(self.rays.of_straight_light(), self.steps[self.rays.straight])
 
+class Histogram:
+    """Flux of rays by the cell where they start and by direction.
 
-def bin_segments(
-    segments: EndingSegments,
-    flux: NDArray[np.floating],
-    depth: int,
-    resolution: int,
-    distances: NDArray[np.float32],
-    seed: int,
-) -> BinnedSegments:
-    """Segments with a flux [3, N]; `seed` is of where in its cell each reach begins."""
-    # Light starts anywhere in its cell, and so its reach is from there on.
-    side = 2 / (1 << depth)
-    random = mi.PCG32(flux.shape[1], initstate=dr.opaque(mi.UInt64, seed))
-    start = mi.Vector3f(random.next_float32(), random.next_float32(), random.next_float32())
-    within = (mi.Vector3f(segments.origin) + 1) / side
-    moved = (within - dr.floor(within) - start) * side
-    steps = np.array(
-        distances_passed(segments.reach + dr.dot(moved, segments.direction), distances)
-    )
-    bins = coarse_bin(bin_of(segments.direction, 2 * resolution), 2 * resolution)
-    rays = _binned(segments.origin, bins, segments.straight, flux, depth)
-    return BinnedSegments(rays, np.minimum(steps, len(distances) - 2).astype(np.uint8))
-
-
-class OccupiedCells:
-    """Cells of a grid over [-1, 1]³ in the order in which light was first found in them.
+    Cells are in the order in which light was first found in them.
 
     Args:
         depth: the grid has 2**depth cells a side.
+        resolution: R bins of direction a side.
     """
 
-    def __init__(self, depth: int) -> None:
-        self._depth = depth
-        # Row of each cell of the grid, or -1.
-        self._rows = np.full(1 << 3 * depth, -1)
-        self._codes = np.zeros(0, np.int64)
-
-    def __len__(self) -> int:
-        return len(self._codes)
-
-    @property
-    def coordinates(self) -> NDArray[np.int64]:
-        """[C, 3] coordinates of each."""
-        return coded_cells(self._codes, self._depth)
-
-    def rows(self, codes: NDArray[np.integer]) -> NDArray[np.int64]:
-        """Rows [N] of cells by their codes [N]; new cells get new rows."""
-        new = np.unique(codes[self._rows[codes] < 0]).astype(np.int64)
-        self._rows[new] = len(self._codes) + np.arange(len(new))
-        self._codes = np.append(self._codes, new)
-        return self._rows[codes]
-
-
-class _Rows:
-    """An array [C, ..] of which C grows; the memory of rows to come is used when they come."""
-
-    def __init__(self, shape: tuple[int, ...], dtype: type[np.floating]) -> None:
-        self._memory: NDArray[Any] = np.zeros((0, *shape), dtype)
-        self.values = self._memory
-
-    def grown(self, count: int) -> NDArray[Any]:
-        """The values, with rows of 0 up to `count`."""
-        if count > len(self._memory):
-            memory = np.zeros((count + count // 4, *self.values.shape[1:]), self.values.dtype)
-            memory[: len(self.values)] = self.values
-            self._memory = memory
-        self.values = self._memory[:count]
-        return self.values
-
-
-class _Light:
-    """Flux by cell and bin of direction."""
-
     def __init__(self, depth: int, resolution: int) -> None:
-        self._occupied = OccupiedCells(depth)
         self._depth, self._resolution = depth, resolution
-        self._flux = _Rows((resolution**2, 3), np.float64)
+        # Row of each cell of the grid, or -1.
+        self._rows: NDArray[np.int64] = np.full(1 << 3 * depth, -1)
+        self._codes = np.zeros(0, np.int64)
+        self._flux = np.zeros((0, resolution**2, 3))
 
     @property
     def cells(self) -> NDArray[np.int64]:
         """[C, 3] cells that have light."""
-        return self._occupied.coordinates
+        return coded_cells(self._codes, self._depth)
 
     @property
     def flux(self) -> NDArray[np.float64]:
         """[C, R², 3] flux of the bins of each cell."""
-        return self._flux.values
+        return self._flux[: len(self._codes)]
 
-    def flux_without(self, part: "_Light") -> NDArray[np.float64]:
-        """`flux` less the flux of a part of the same rays."""
-        return self._without(part, self.flux, part.flux)
-
-    def _without(self, part: "_Light", whole: NDArray[Any], taken: NDArray[Any]) -> NDArray[Any]:
-        """Values [C, ..] less values of the cells of a part."""
-        rest = whole.copy()
-        rows = self._occupied.rows(cell_codes(part.cells, self._depth))
-        # Sums are rounded.
-        rest[rows] = np.maximum(rest[rows] - taken, 0)
-        return rest
-
-    def _places(self, rays: BinnedRays) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """The flux of all bins, [C R², 3]; and of rays, their place in it, [N]."""
-        rows = self._occupied.rows(rays.codes)
-        flat = self._flux.grown(len(self._occupied)).reshape(-1, 3)
-        return flat, rows * self._resolution**2 + rays.bins
-
-
-class Histogram(_Light):
-    """Flux of rays that leave the box."""
-
-    def add(self, origin: Any, direction: Any, flux: NDArray[np.float64]) -> None:
-        """Add rays (mi.Point3f, mi.Vector3f, [3, N]) that start inside the grid."""
+    def add(self, origin: mi.Point3f, direction: mi.Vector3f, flux: NDArray[np.float64]) -> None:
+        """Add rays with a flux [3, N] that start inside the grid."""
         self.add_binned(bin_rays(origin, direction, False, flux, self._depth, self._resolution))
 
     def add_binned(self, rays: BinnedRays) -> None:
         """Add rays of `bin_rays` with the same grid and bins."""
-        flat, index = self._places(rays)
-        for channel in range(3):
-            flat[:, channel] += np.bincount(index, rays.flux[channel], len(flat))
+        index = self._places(rays)
+        self._flux = self._grown(self._flux)
+        _add(self.flux, index, rays.flux)
+
+    def _places(self, rays: BinnedRays) -> NDArray[np.int64]:
+        """Index [N] of the bin of each ray among all bins; new cells get new rows."""
+        codes = rays.codes
+        new = np.unique(codes[self._rows[codes] < 0]).astype(np.int64)
+        self._rows[new] = len(self._codes) + np.arange(len(new))
+        self._codes = np.append(self._codes, new)
+        return self._rows[codes] * self._resolution**2 + rays.bins
+
+    def _grown(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Values with at least one row for each cell; the memory is used when cells are found."""
+        count = len(self._codes)
+        if count <= len(values):
+            return values
+        grown = np.zeros((count + count // 4, *values.shape[1:]), values.dtype)
+        grown[: len(values)] = values
+        return grown
 
 
-class EndingHistogram(_Light):
+class LightHistogram(Histogram):
+    """Flux of light paths, and the part of it that is bent: not straight."""
+
+    def __init__(self, depth: int, resolution: int) -> None:
+        super().__init__(depth, resolution)
+        self._bent = np.zeros_like(self._flux)
+
+    @property
+    def bent(self) -> NDArray[np.float64]:
+        """[C, R², 3] flux of the bent light of the bins of each cell."""
+        return self._bent[: len(self._codes)]
+
+    def add_binned(self, rays: BinnedRays) -> None:
+        """As `Histogram.add_binned`."""
+        index, bent = self._places(rays), ~rays.straight
+        self._flux, self._bent = self._grown(self._flux), self._grown(self._bent)
+        _add(self.flux, index, rays.flux)
+        _add(self.bent, index[bent], rays.flux[:, bent])
+
+
+class EndingHistogram(LightHistogram):
     """Flux of segments that end on the luminaire, by cell, bin of direction and reach.
 
-    Each bin of direction contains four bins of a light field with 2 Q bins a side.
+    Each of the Q² bins of direction contains four bins of a light field with R = 2 Q bins a side.
 
-    A cell takes 4 (K + 5) Q² bytes: with 26 distances, 1.3 times as many as of the exitant light of
-    2 Q bins a side.
+    A cell takes 8 (K + 5) Q² bytes: with 26 distances K, 1.3 times as many as exitant light.
     """
 
     def __init__(self, depth: int, resolution: int, num_distances: int) -> None:
         super().__init__(depth, resolution)
-        self._by_reach = _Rows((resolution**2, num_distances - 1), np.float32)
+        self._by_reach = np.zeros((0, resolution**2, num_distances - 1), np.float32)
+        self._straight_by_reach = np.zeros_like(self._by_reach)
 
     @property
     def by_reach(self) -> NDArray[np.float32]:
         """[C, Q², K - 1] luminance of the segments that end between two distances."""
-        return self._by_reach.values
+        return self._by_reach[: len(self._codes)]
 
-    def by_reach_without(self, part: "EndingHistogram") -> NDArray[np.float32]:
-        """`by_reach` less the luminance of a part of the same segments."""
-        return self._without(part, self.by_reach, part.by_reach)
+    @property
+    def bent_by_reach(self) -> NDArray[np.float32]:
+        """The part of `by_reach` that is bent light."""
+        # Sums are rounded.
+        return np.maximum(self.by_reach - self._straight_by_reach[: len(self._codes)], 0)
 
-    def add_binned(self, segments: BinnedSegments) -> None:
+    def add_segments(self, segments: BinnedSegments) -> None:
         """Add segments of `bin_segments` with the same grid, bins and distances."""
-        flux = segments.rays.flux
-        flat, index = self._places(segments.rays)
-        for channel in range(3):
-            np.add.at(flat[:, channel], index, flux[channel])
-        by_reach = self._by_reach.grown(len(self._occupied))
-        reach = index * by_reach.shape[2] + segments.steps
-        np.add.at(by_reach.reshape(-1), reach, luminance(flux.T).astype(np.float32))
+        rays = segments.rays
+        self.add_binned(rays)
+        self._by_reach = self._grown(self._by_reach)
+        self._straight_by_reach = self._grown(self._straight_by_reach)
+        index = self._places(rays) * self._by_reach.shape[2] + segments.steps
+        light = luminance(rays.flux.T).astype(np.float32)
+        np.add.at(self._by_reach.reshape(-1), index, light)
+        np.add.at(self._straight_by_reach.reshape(-1), index[rays.straight], light[rays.straight])
 
 
-def distances_passed(length: Any, distances: NDArray[np.float32]) -> Any:
-    """How many of some distances after the first are at most a length (mi.Float): mi.UInt32."""
-    passed = mi.UInt32(0)
-    for each in distances[1:].tolist():
-        passed += dr.select(length >= each, mi.UInt32(1), mi.UInt32(0))
-    return passed
+def _add(values: NDArray[np.float64], index: NDArray[np.int64], flux: NDArray[np.floating]) -> None:
+    """Add flux [3, N] to the bins of an index [N] among the values [C, R², 3], in place."""
+    flat = values.reshape(-1, 3)
+    for channel in range(3):
+        flat[:, channel] += np.bincount(index, flux[channel], len(flat))

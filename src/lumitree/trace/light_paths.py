@@ -1,41 +1,94 @@
 """Light paths: light traced from a luminaire's emitters until it leaves the luminaire.
 
 Camera paths find the image of a filament in a glass wall only by chance. Light paths, which start
-at the filament, always find it. Light that leaves by smooth transmission alone is omitted by
-default: camera rays that are followed straight through find it without noise
-(`lumitree.trace.straight_through`).
+at the filament, always find it. `LampRays` draws batches of them; an asset emits rays sampled from
+its emission (`lumitree.rendering.asset_rays`). Both implement `EmittedRays`, over which flux,
+irradiance, photometry and bakes sum.
 
 Symbols
     flux                of a path: radiance times the measure dA cos θ dω, local frame
     straight            all events since the emitter were null interactions: masks and thin glass
                         that the light passed, media that did not scatter it
+    smooth              all events were smooth transmissions or null interactions
     termination point   where the field should stop a camera ray that meets the path in
                         reverse, see `termination_point`
     ρ                   as in `lumitree.trace.medium_paths`
 """
 
+from __future__ import annotations
+
 import dataclasses
-from typing import Any
+from typing import Any, Protocol
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
 
 from lumitree.core.frames import from_viewer
 from lumitree.lamp.luminaire import Luminaire
 from lumitree.trace import medium_paths
-from lumitree.trace.emitted_rays import RayBatch
-from lumitree.trace.ending_segments import (
-    EndingConfig,
-    EndingSegments,
-    make_reservoir,
-    restoring_factor,
+from lumitree.trace.cameras import COSINE_OF_CONE, PATH_DEPTH, check_finite
+from lumitree.trace.segments import EndingConfig, EndingSegments, Reservoir, restoring_factor
+from lumitree.trace.spawning import (
+    is_opaque,
+    is_smooth,
+    is_transmitted,
+    on_opposite_sides,
+    scene_box,
+    scene_extent,
+    spawn,
 )
-from lumitree.trace.geometric_normals import is_opaque, on_opposite_sides
-from lumitree.trace.spawning import scene_box, scene_extent, spawn
-from lumitree.trace.straight_through import COSINE_OF_CONE, is_smooth, is_transmitted
 
 # Number of events after which Russian roulette begins.
 _ROULETTE_DEPTH = 8
+
+
+@dataclasses.dataclass
+class RayBatch:
+    """Rays that leave a luminaire or an asset; local frame.
+
+    Attributes:
+        origin: inside the bounding box, local units.
+        direction: unit direction of travel.
+        flux: in the luminaire's unit of radiance times sr times local units². The sum over the rays
+            of a draw is an estimate of the emitted flux.
+    """
+
+    origin: mi.Point3f
+    direction: mi.Vector3f
+    flux: mi.Color3f
+
+    def arrays(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Origin, direction and flux, each [N, 3]."""
+        return as_rows(self.origin), as_rows(self.direction), as_rows(self.flux)
+
+
+class EmittedRays(Protocol):
+    """The rays of a luminaire, of an asset, or of another representation of its light."""
+
+    def draw(self, count: int, seed: int) -> RayBatch:
+        """Rays that leave, of `count` samples; samples that are absorbed have none.
+
+        Args:
+            count: number of samples, which the flux of the rays is divided by.
+            seed: 32-bit seed of the draw, see `lumitree.core.seeds`. Equal seeds give equal rays.
+        """
+        ...
+
+
+def seeded_sampler(seed: int, count: int) -> mi.Sampler:
+    """Independent sampler for `count` samples."""
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(seed, count)
+    return sampler
+
+
+def as_rows(vectors: Any) -> NDArray[np.float64]:
+    """Dr.Jit vectors of three components as an array [N, 3]."""
+    # Each by itself: the number of vectors would be a part of a kernel's code.
+    components = (np.array(each, np.float64) for each in vectors)
+    return np.array(np.broadcast_arrays(*components)).T
 
 
 @dataclasses.dataclass
@@ -43,64 +96,116 @@ class LightPaths(RayBatch):
     """Light paths that have left the luminaire.
 
     Each ray starts at the last vertex of its path that is not a null interaction, so straight light
-    starts at the emitter. The flux is that of the light that leaves: a receiver between an emitter
-    and a tinted pane gets the light that leaves the pane.
+    starts at the emitter. The flux is the light that leaves: a receiver between an emitter and a
+    tinted pane gets the light that leaves the pane.
 
     Attributes:
-        straight: mi.Bool, whether the light of each ray is straight.
-        exit: mi.Point3f, where each ray leaves its last surface, null ones too; local frame.
-        termination: mi.Point3f, termination point, local frame.
+        straight: whether the light of each ray is straight.
+        exit: where each ray leaves its last surface, null ones too; local frame.
+        termination: termination point, local frame.
         ending: segments of all paths, also of absorbed ones, that end on the luminaire; None if
-            they were not asked for.
+            `trace_light` was called without.
     """
 
-    straight: Any
-    exit: Any
-    termination: Any
+    straight: mi.Bool
+    exit: mi.Point3f
+    termination: mi.Point3f
     ending: EndingSegments | None = None
+
+
+class LampRays:
+    """Light paths of a luminaire, all that leave it; `EmittedRays`.
+
+    Args:
+        luminaire: what is traced.
+        path_depth: longest path, events.
+    """
+
+    def __init__(self, luminaire: Luminaire, path_depth: int = PATH_DEPTH) -> None:
+        self._luminaire, self._path_depth = luminaire, path_depth
+
+    def draw(
+        self,
+        count: int,
+        seed: int,
+        *,
+        ending: EndingConfig | None = None,
+        flux_limit: float | None = None,
+    ) -> LightPaths:
+        """As `EmittedRays.draw`.
+
+        Args:
+            count: number of light paths.
+            seed: of the draw.
+            ending, flux_limit: as for `trace_light`.
+
+        Raises:
+            LumitreeError: a path's flux is NaN or infinite.
+        """
+        paths = trace_light(
+            self._luminaire,
+            seeded_sampler(seed, count),
+            count,
+            self._path_depth,
+            all_light=True,
+            ending=ending,
+            flux_limit=flux_limit,
+        )
+        check_finite(self._luminaire, as_rows(paths.flux))
+        if paths.ending is not None:
+            check_finite(self._luminaire, as_rows(paths.ending.flux))
+        return paths
+
+    def bare_flux(self, count: int, seed: int) -> NDArray[np.float64]:
+        """Flux [3] with which the paths of `draw` start, before the luminaire absorbs any.
+
+        It is an estimate of the flux of the bare emitters, local units.
+        """
+        sampler = seeded_sampler(seed, count)
+        return as_rows(emitted_flux(self._luminaire, sampler, count)[0]).sum(axis=0)
 
 
 def trace_light(
     luminaire: Luminaire,
-    sampler: Any,
+    sampler: mi.Sampler,
     count: int,
     path_depth: int,
     *,
     all_light: bool = False,
     ending: EndingConfig | None = None,
-    largest_gain: float | None = None,
+    flux_limit: float | None = None,
 ) -> LightPaths:
     """Trace `count` light paths; those that leave the luminaire are returned.
 
-    The factor for shading normals has no bound, and the flux of paths has a heavy tail: of those
-    with a gain of at least g there are as many as 1 / g². `largest_gain` cuts the tail off, for
-    bins that a single such path would make too bright.
+    Light that leaves by smooth transmission alone is omitted by default: camera rays that are
+    followed straight through find it without noise (`cameras.straight_through`).
+
+    The factor for shading normals has no bound, and the flux of paths has a heavy tail: the number
+    of paths with at least g times the flux with which they start is in proportion to 1 / g².
+    `flux_limit` cuts the tail off, for bins that a single such path would make too bright.
 
     Args:
-        sampler: mi.Sampler, seeded for as many paths.
+        sampler: seeded for as many paths.
         path_depth: longest path, events.
         all_light: also return paths that leave by smooth transmission alone.
         ending: also return segments that end on the luminaire. The paths are the same with it.
-        largest_gain: limit of the flux of a path over that with which it starts. Straight paths
-            have none: only the choice of a channel in a medium makes them gain, by up to 3. The
+        flux_limit: limit of the flux of a path over the flux with which it starts. Straight paths
+            have none: only the choice of a channel in a medium makes them brighter, by up to 3. The
             flux above the limit is given to all paths, and to all ending segments, that are not
-            straight, in proportion to their flux: sums over the trace stay unbiased, their
-            distribution has the bias of what was moved, 0.1 to 0.2 % of the flux for a limit of 8.
-            Default: none, and no bias.
+            straight, in proportion to their flux: sums over the trace stay unbiased, and the
+            distribution is biased by the moved flux, 0.1 to 0.2 % for a limit of 8. Default: none,
+            and no bias.
     """
-    reservoir = None if ending is None else make_reservoir(ending, luminaire.scene_frame, count)
-    ray, vertex, flux, cut, straight, termination, leaves, smooth, reservoir = _trace(
-        luminaire, sampler, path_depth, reservoir, largest_gain
-    )
+    reservoir = None if ending is None else Reservoir.empty(ending, luminaire.scene_frame, count)
+    traced, reservoir = _trace(luminaire, sampler, path_depth, reservoir, flux_limit)
     # All at once: a sum of one of them would trace the paths for it alone.
-    dr.eval(ray, vertex, flux, cut, straight, termination, leaves, smooth, reservoir)
-    if largest_gain is not None:
-        bent = dr.select(leaves & ~straight, flux, 0)
-        factor = mi.Color3f([restoring_factor(channel * cut, channel) for channel in bent])
-        flux = dr.select(straight, flux, flux * factor)
-    if not all_light:
-        leaves &= ~smooth
-    chosen = dr.compress(leaves)
+    dr.eval(traced, reservoir)
+    flux, leaves = traced.flux, traced.leaves
+    if flux_limit is not None:
+        bent = dr.select(leaves & ~traced.straight, flux, 0)
+        factor = mi.Color3f([restoring_factor(channel * traced.cut, channel) for channel in bent])
+        flux = dr.select(traced.straight, flux, flux * factor)
+    chosen = dr.compress(leaves if all_light else leaves & ~traced.smooth)
     if not dr.width(chosen):
         # Dr.Jit does not combine an empty array with others, so one path without flux is returned.
         chosen, flux = mi.UInt32([0]), mi.Color3f(dr.zeros(mi.Float, count))
@@ -108,12 +213,12 @@ def trace_light(
     dr.make_opaque(to_local)
     scale = dr.opaque(mi.Float, 1 / (count * luminaire.frame.scale**2))
     paths = LightPaths(
-        to_local @ dr.gather(mi.Point3f, vertex, chosen),
-        dr.normalize(to_local @ dr.gather(mi.Vector3f, ray.d, chosen)),
+        to_local @ dr.gather(mi.Point3f, traced.vertex, chosen),
+        dr.normalize(to_local @ dr.gather(mi.Vector3f, traced.ray.d, chosen)),
         dr.gather(mi.Color3f, flux, chosen) * scale,
-        dr.gather(mi.Bool, straight, chosen),
-        to_local @ dr.gather(mi.Point3f, ray.o, chosen),
-        to_local @ dr.gather(mi.Point3f, termination, chosen),
+        dr.gather(mi.Bool, traced.straight, chosen),
+        to_local @ dr.gather(mi.Point3f, traced.ray.o, chosen),
+        to_local @ dr.gather(mi.Point3f, traced.termination, chosen),
         None if reservoir is None else reservoir.segments(scale),
     )
     rays = paths.origin, paths.direction, paths.flux, paths.straight, paths.exit
@@ -121,12 +226,11 @@ def trace_light(
     return paths
 
 
-def emitted_flux(luminaire: Luminaire, sampler: Any, count: int) -> tuple[Any, Any]:
+def emitted_flux(luminaire: Luminaire, sampler: mi.Sampler, count: int) -> tuple[Any, Any]:
     """Flux with which `count` light paths start, before the luminaire absorbs any.
 
     Args:
-        sampler: mi.Sampler, seeded for as many paths. Seeded as for `trace_light`, the paths start
-            alike.
+        sampler: seeded for as many paths. Seeded as for `trace_light`, the paths start alike.
 
     Returns:
         mi.Color3f, flux of each path, local units, whose sum is an estimate of the flux of the bare
@@ -137,29 +241,38 @@ def emitted_flux(luminaire: Luminaire, sampler: Any, count: int) -> tuple[Any, A
     return flux * dr.opaque(mi.Float, 1 / (count * luminaire.frame.scale**2)), emitter
 
 
-def _shading_correction(si, bsdf, sample, arriving, leaving):
-    """Factor on a sampled direction for shading normals, and whether light is scattered there.
+@dataclasses.dataclass
+class _Traced:
+    """Light paths where they ended; scene frame.
 
-    Veach 1997, Eq. 5.19. Camera paths decide by the shading normal which side of a surface they are
-    on, so light paths do too.
+    Attributes:
+        ray: the last ray.
+        vertex: the last vertex that is not a null interaction.
+        flux: of the path.
+        cut: flux without a limit over `flux`.
+        straight, smooth: whether the path is.
+        leaves: whether it left the luminaire.
+        termination: termination point.
     """
-    cos_in, cos_out = mi.Frame3f.cos_theta(si.wi), mi.Frame3f.cos_theta(sample.wo)
-    true_in, true_out = dr.dot(si.n, arriving), dr.dot(si.n, leaving)
-    crosses = ~is_transmitted(sample.sampled_type) & on_opposite_sides(si, arriving, leaving)
-    scatters = (true_in != 0) & (cos_out != 0) & ~(crosses & is_opaque(bsdf))
-    return dr.abs(cos_in * true_out / (cos_out * true_in)), scatters
+
+    ray: mi.Ray3f
+    vertex: mi.Point3f
+    flux: mi.Color3f
+    cut: mi.Float
+    straight: mi.Bool
+    smooth: mi.Bool
+    leaves: mi.Bool
+    termination: mi.Point3f
 
 
 @dr.syntax
-def _trace(luminaire, sampler, path_depth, reservoir, largest_gain):
+def _trace(luminaire, sampler, path_depth, reservoir, flux_limit):
+    """The `_Traced` paths, and the reservoir."""
     scene, context = luminaire.scene, mi.BSDFContext(mi.TransportMode.Importance)
     extent, box = scene_extent(scene), scene_box(scene)
     ray, light = emit(luminaire.emitting_surfaces, sampler, extent)[:2]
     flux = mi.Color3f(light)
-    # Flux without a limit over flux with it.
-    cut = mi.Float(1)
-    # The last vertex that is not a null interaction.
-    vertex, straight = mi.Point3f(ray.o), mi.Bool(True)
+    cut, vertex, straight = mi.Float(1), mi.Point3f(ray.o), mi.Bool(True)
     # Where the last chain of transmissions began, and its direction there.
     start, start_direction = mi.Point3f(ray.o), mi.Vector3f(ray.d)
     smooth = mi.Bool(True)
@@ -213,13 +326,13 @@ def _trace(luminaire, sampler, path_depth, reservoir, largest_gain):
         medium = medium_paths.medium_after(si, ray.d, medium, transmits)
         depth += 1
         active = (collides | hits) & (depth < path_depth) & (dr.max(flux) > 0)
-        gain = dr.max(flux) / dr.max(light)
-        if dr.hint(largest_gain is not None, mode="scalar"):
+        relative = dr.max(flux) / dr.max(light)
+        if dr.hint(flux_limit is not None, mode="scalar"):
             limited = active & ~straight
-            above = dr.select(limited, dr.maximum(gain / largest_gain, 1), 1)
-            flux, cut, gain = flux / above, cut * above, gain / above
-        # Paths that lose nothing are not ended: many survivals of less than 1 would be a gain.
-        survival = dr.clip(gain, 0.05, 1)
+            above = dr.select(limited, dr.maximum(relative / flux_limit, 1), 1)
+            flux, cut, relative = flux / above, cut * above, relative / above
+        # Paths that lose nothing are not ended: many survivals of less than 1 would add flux.
+        survival = dr.clip(relative, 0.05, 1)
         survival = dr.select(depth > _ROULETTE_DEPTH, survival, 1)
         active &= sampler.next_1d(active) < survival
         flux[active] = flux / survival
@@ -227,7 +340,21 @@ def _trace(luminaire, sampler, path_depth, reservoir, largest_gain):
     deflected = dr.dot(ray.d, start_direction) < COSINE_OF_CONE
     at_first = sampler.next_1d() < 0.5
     termination = termination_point(box, from_viewer(ray.d), ray.o, start, deflected & at_first)
-    return ray, vertex, flux, cut, straight, termination, leaves, smooth, reservoir
+    paths = _Traced(ray, vertex, flux, cut, straight, smooth, leaves, termination)
+    return paths, reservoir
+
+
+def _shading_correction(si, bsdf, sample, arriving, leaving):
+    """Factor on a sampled direction for shading normals, and whether light is scattered there.
+
+    Veach 1997, Eq. 5.19. Camera paths decide by the shading normal which side of a surface they are
+    on, so light paths do too.
+    """
+    cos_in, cos_out = mi.Frame3f.cos_theta(si.wi), mi.Frame3f.cos_theta(sample.wo)
+    true_in, true_out = dr.dot(si.n, arriving), dr.dot(si.n, leaving)
+    crosses = ~is_transmitted(sample.sampled_type) & on_opposite_sides(si, arriving, leaving)
+    scatters = (true_in != 0) & (cos_out != 0) & ~(crosses & is_opaque(bsdf))
+    return dr.abs(cos_in * true_out / (cos_out * true_in)), scatters
 
 
 def emit(surfaces, sampler, extent):
@@ -251,18 +378,24 @@ def emit(surfaces, sampler, extent):
     return spawn(si, direction, extent), flux, point.index
 
 
-def termination_point(box: Any, direction: Any, first: Any, last: Any, at_first: Any) -> Any:
+def termination_point(
+    box: mi.BoundingBox3f,
+    direction: mi.Vector3f,
+    first: mi.Point3f,
+    last: mi.Point3f,
+    at_first: mi.Bool,
+) -> mi.Point3f:
     """Termination point of a ray whose path meets the luminaire at `first` and ends at `last`.
 
     It is the orthogonal projection of `last` onto the ray: thick glass displaces what is behind it,
     and rays of other directions see it at the projection too.
 
     Args:
-        box: mi.BoundingBox3f of the luminaire; for a projection outside it, `first` is returned.
-        direction: mi.Vector3f of the ray.
-        first: mi.Point3f on the ray, on the first surface.
-        last: mi.Point3f, end of the path.
-        at_first: mi.Bool, return `first` in any case. With probability ½ where the path is
+        box: of the luminaire; for a projection outside it, `first` is returned.
+        direction: of the ray.
+        first: on the ray, on the first surface.
+        last: end of the path.
+        at_first: whether to return `first` in any case. With probability ½ where the path is
             deflected, so that glass hides what is behind it.
     """
     along = dr.dot(last - first, direction)

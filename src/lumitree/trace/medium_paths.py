@@ -15,7 +15,8 @@ Symbols
     ρ           mi.Spectrum, densities of the path so far, sampled for each channel, over their mean
 """
 
-from collections.abc import Callable
+from __future__ import annotations
+
 from typing import Any
 
 import drjit as dr
@@ -27,7 +28,7 @@ from lumitree.trace.spawning import spawn
 _MAX_CROSSINGS = 128
 
 
-def coefficients(medium: Any, active: Any, wavelengths: Any = None) -> tuple[Any, Any]:
+def coefficients(medium: mi.MediumPtr, active: mi.Bool, wavelengths: Any = None) -> tuple[Any, Any]:
     """σ_s and σ_t (mi.Spectrum), 0 outside of media: any point of a homogeneous medium will do."""
     inside = active & (medium != None)  # noqa: E711 (a vector comparison)
     anywhere = dr.zeros(mi.MediumInteraction3f)
@@ -37,14 +38,18 @@ def coefficients(medium: Any, active: Any, wavelengths: Any = None) -> tuple[Any
     return mi.Spectrum(scattering), mi.Spectrum(extinction)
 
 
-def draw_channel(sampler: Any) -> Any:
-    """Index (mi.UInt32) of the channel for which a path is sampled."""
+def draw_channel(sampler: mi.Sampler) -> mi.UInt32:
+    """Index of the channel for which a path is sampled."""
     channels = dr.size_v(mi.Spectrum)
     return mi.UInt32(dr.minimum(channels * sampler.next_1d(), channels - 1))
 
 
 def free_flight(
-    medium: Any, channel: Any, sampler: Any, active: Any, wavelengths: Any = None
+    medium: mi.MediumPtr,
+    channel: mi.UInt32,
+    sampler: mi.Sampler,
+    active: mi.Bool,
+    wavelengths: Any = None,
 ) -> Any:
     """Distance (mi.Float) to the next scattering in a medium; infinite where nothing scatters."""
     scattering, extinction = coefficients(medium, active, wavelengths)
@@ -57,12 +62,16 @@ def free_flight(
 
 
 def segment_weight(
-    medium: Any, distance: Any, ρ: Any, active: Any, wavelengths: Any = None
+    medium: mi.MediumPtr,
+    distance: mi.Float,
+    ρ: mi.Spectrum,
+    active: mi.Bool,
+    wavelengths: Any = None,
 ) -> tuple[Any, Any]:
     """A segment that ends before the `free_flight`.
 
     Returns:
-        Its weight (mi.Spectrum), T over the chance of that; and ρ after it.
+        Its weight (mi.Spectrum), T over the probability that it ends there; and ρ after it.
     """
     scattering, extinction = coefficients(medium, active, wavelengths)
     through = _transmittance(extinction, distance)
@@ -70,7 +79,11 @@ def segment_weight(
 
 
 def scattering_weight(
-    medium: Any, distance: Any, ρ: Any, active: Any, wavelengths: Any = None
+    medium: mi.MediumPtr,
+    distance: mi.Float,
+    ρ: mi.Spectrum,
+    active: mi.Bool,
+    wavelengths: Any = None,
 ) -> tuple[Any, Any]:
     """A segment that ends by scattering, as `segment_weight`: σ_s T over its density."""
     scattering, extinction = coefficients(medium, active, wavelengths)
@@ -79,12 +92,17 @@ def scattering_weight(
 
 
 def traverse(
-    medium: Any, distance: Any, channel: Any, ρ: Any, sampler: Any, active: Any
+    medium: mi.MediumPtr,
+    distance: mi.Float,
+    channel: mi.UInt32,
+    ρ: mi.Spectrum,
+    sampler: mi.Sampler,
+    active: mi.Bool,
 ) -> tuple[Any, Any, Any, Any]:
     """The segment of a path to the next surface, or to where the medium scatters before it.
 
     Args:
-        distance: mi.Float, to the surface.
+        distance: to the surface.
 
     Returns:
         Where the medium scatters (mi.Bool); the free flight; the segment's weight (mi.Color3f); and
@@ -98,29 +116,28 @@ def traverse(
     return collides, flight, weight, dr.select(collides, after, dr.select(active, behind, ρ))
 
 
-def transmittance(medium: Any, distance: Any, active: Any, wavelengths: Any = None) -> Any:
+def transmittance(
+    medium: mi.MediumPtr, distance: mi.Float, active: mi.Bool, wavelengths: Any = None
+) -> mi.Spectrum:
     """T (mi.Spectrum) of a segment."""
     return _transmittance(coefficients(medium, active, wavelengths)[1], distance)
 
 
-def medium_after(si: Any, direction: Any, medium: Any, active: Any) -> Any:
-    """Medium of a ray that leaves a surface in a direction; `medium` is that before it."""
+def medium_after(
+    si: mi.SurfaceInteraction3f, direction: mi.Vector3f, medium: mi.MediumPtr, active: mi.Bool
+) -> Any:
+    """Medium of a ray that leaves a surface in a direction; before it, the medium is `medium`."""
     return dr.select(active & si.is_medium_transition(), si.target_medium(direction), medium)
 
 
 @dr.syntax
-def medium_around(
-    scene: Any,
-    ray: Any,
-    extent: Any,
-    is_border: Callable[[Any, Any], Any] = lambda hit, active: hit.is_medium_transition(),
-) -> Any:
+def medium_around(scene, ray, extent, is_border=lambda hit, active: hit.is_medium_transition()):
     """mi.MediumPtr where rays start: the medium on this side of the first border on their way.
 
     Args:
         scene: mi.Scene.
         ray: mi.Ray3f.
-        extent: `scene_extent` of it.
+        extent: `scene_extent` of the scene.
         is_border: function of a hit and a mask. Default: borders are where media change.
     """
     ray, active = mi.Ray3f(ray), dr.full(mi.Bool, True, dr.width(ray))
@@ -136,8 +153,8 @@ def medium_around(
     return medium
 
 
-def scattering_point(ray: Any, distance: Any) -> Any:
-    """Place on a ray where a medium scatters, as a mi.SurfaceInteraction3f without a surface.
+def scattering_point(ray: mi.Ray3f, distance: mi.Float) -> mi.SurfaceInteraction3f:
+    """Place on a ray where a medium scatters, as an interaction without a surface.
 
     Its normals are 0, so that rays leave it from where it is.
     """
@@ -147,26 +164,29 @@ def scattering_point(ray: Any, distance: Any) -> Any:
     return point
 
 
-def eval_phase(medium: Any, ray: Any, wo: Any, active: Any) -> tuple[Any, Any]:
+def eval_phase(
+    medium: mi.MediumPtr, ray: mi.Ray3f, wo: mi.Vector3f, active: mi.Bool
+) -> tuple[Any, Any]:
     """Value (mi.Spectrum) and density of the phase function for a ray that arrives.
 
     Args:
-        ray: mi.Ray3f.
-        wo: mi.Vector3f, direction in the scene.
+        wo: direction in the scene.
     """
     context = mi.PhaseFunctionContext(None)
     value, pdf = medium.phase_function().eval_pdf(context, _scattering(ray), wo, active)
     return mi.Spectrum(value), pdf
 
 
-def sample_phase(medium: Any, ray: Any, sampler: Any, active: Any) -> tuple[Any, Any, Any]:
-    """A direction in which a ray (mi.Ray3f) that arrives scatters, its weight and density."""
+def sample_phase(
+    medium: mi.MediumPtr, ray: mi.Ray3f, sampler: mi.Sampler, active: mi.Bool
+) -> tuple[Any, Any, Any]:
+    """A direction in which a ray that arrives scatters, its weight and density."""
     context = mi.PhaseFunctionContext(sampler)
     sample = sampler.next_1d(active), sampler.next_2d(active)
     return medium.phase_function().sample(context, _scattering(ray), *sample, active)
 
 
-def _scattering(ray: Any) -> Any:
+def _scattering(ray: mi.Ray3f) -> mi.MediumInteraction3f:
     here = dr.zeros(mi.MediumInteraction3f)
     here.wi = -ray.d
     here.sh_frame = mi.Frame3f(here.wi)

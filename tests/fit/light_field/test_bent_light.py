@@ -8,10 +8,9 @@ from lumitree.asset.packed_colours import is_part, pack, pack_part, unpack
 from lumitree.core.octahedral import coarse_solid_angles, solid_angles
 from lumitree.core.photometry import luminance
 from lumitree.fit.light_field.bake import bake_light_field
-from lumitree.trace.emitted_rays import as_rows
-from lumitree.trace.ending_segments import EndingConfig
-from lumitree.trace.lamp_rays import LampRays
 from lumitree.trace.light_field_config import LightFieldConfig
+from lumitree.trace.light_paths import LampRays, as_rows
+from lumitree.trace.segments import EndingConfig
 from support.lamps import AREA, cube, lamp_of, sphere
 
 CONFIG = LightFieldConfig(paths=1 << 19, batch=1 << 18, depth=4, resolution=16)

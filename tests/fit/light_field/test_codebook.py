@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lumitree.fit.light_field.codebook import codebook
+from lumitree.fit.light_field.inside import codebook
 
 
 def entries(seed, count, kinds):

@@ -12,9 +12,9 @@ from lumitree.core.device import on_device
 from lumitree.core.octahedral import bin_of, coarse_bin, coarse_solid_angles, solid_angles
 from lumitree.core.photometry import luminance
 from lumitree.fit.light_field.bake import bake_light_field
-from lumitree.trace.ending_segments import EndingConfig
-from lumitree.trace.lamp_rays import LampRays
 from lumitree.trace.light_field_config import LightFieldConfig
+from lumitree.trace.light_paths import LampRays
+from lumitree.trace.segments import EndingConfig
 from support.lamps import AREA, cube, lamp_of, sphere
 from support.light_fields import assert_equal_fields
 from support.slow import slow
@@ -160,12 +160,12 @@ def test_flux_that_ends_on_the_disc(lamp, field):
 
 
 def test_the_light_field_light_is_as_without_it(mi, lamp, field, tmp_path, monkeypatch):
-    from lumitree.fit.light_field import batches as module
+    from lumitree.fit.light_field import bake as module
 
     class Alone(LampRays):
-        def draw(self, count, seed, *, ending=None, largest_gain=None):
+        def draw(self, count, seed, *, ending=None, flux_limit=None):
             few = LampRays(lamp, 4).draw(4, 0, ending=EndingConfig(5, 0))
-            paths = super().draw(count, seed, largest_gain=largest_gain)
+            paths = super().draw(count, seed, flux_limit=flux_limit)
             return dataclasses.replace(paths, ending=few.ending)
 
     monkeypatch.setattr(module, "LampRays", Alone)

@@ -15,13 +15,12 @@ from lumitree.core.device import on_device
 from lumitree.core.octahedral import own_solid_angles, solid_angles
 from lumitree.core.progress import reporting
 from lumitree.core.seeds import Purpose, SeedStream
-from lumitree.fit.light_field import batches as module
+from lumitree.fit.light_field import bake as module
 from lumitree.fit.light_field.bake import bake_light_field, relative_noise
 from lumitree.fit.light_field.saved_field import LIGHT_FIELD_STATE
-from lumitree.trace.lamp_rays import LampRays
+from lumitree.trace.cameras import PATH_DEPTH
 from lumitree.trace.light_field_config import LightFieldConfig
-from lumitree.trace.light_paths import trace_light
-from lumitree.trace.tracing import PATH_DEPTH
+from lumitree.trace.light_paths import LampRays, trace_light
 from support.lamps import AREA, GLASS, cube, lamp_of, sphere
 from support.light_fields import assert_equal_fields
 

@@ -16,7 +16,6 @@ from lumitree.cli import main
 from lumitree.core.photometry import colour_temperature, luminance
 from lumitree.errors import LumitreeError
 from lumitree.fit.light_field import bake as light_field_bake
-from lumitree.fit.light_field import batches
 from lumitree.fit.light_field.saved_field import LIGHT_FIELD_STATE
 from lumitree.lamp.loading import load_luminaire
 from support import tiny_bakes
@@ -118,7 +117,7 @@ def test_the_same_work_folder_gives_the_field_without_tracing(monkeypatch):
     def refuse(*_, **__):
         raise AssertionError("light paths are traced")
 
-    monkeypatch.setattr(batches, "LampRays", refuse)
+    monkeypatch.setattr(light_field_bake, "LampRays", refuse)
     again = lumitree.bake("lamp.xml", config=standard(parts=["light"]), work="state").asset
     assert_equal_fields(again.light_field, first.light_field)
     with pytest.raises(AssertionError, match="light paths are traced"):
@@ -144,12 +143,12 @@ def test_a_bake_gets_the_flux_and_the_colour_that_are_asked_for(parts, capsys):
     found, expected = (each.irradiance["irradiance_ratio"] for each in (warm, plain))
     assert found == pytest.approx(expected, abs=1e-4 + 0.5 * plain.irradiance["ratio_error"])
     refined = lumitree.refine("warm.lumitree", "lamp.xml", rays=1 << 14, irradiance_paths=0)
-    assert refined.asset.gain == warm.asset.gain
+    assert refined.asset.light_factors == warm.asset.light_factors
     assert main(["info", "warm.lumitree", "--json", "info.json"]) == 0
     shown = re.search(r"lumens  ([\d.]+)", capsys.readouterr().out)
     assert float(shown[1]) == pytest.approx(luminance(watts), rel=1e-4)
     with open("info.json") as file:
-        assert json.load(file)["asset"]["gain"] == list(warm.asset.gain)
+        assert json.load(file)["asset"]["light_factors"] == list(warm.asset.light_factors)
 
 
 def test_a_colour_that_a_lamp_cannot_have_is_refused_at_once(monkeypatch):
@@ -308,7 +307,7 @@ def test_an_interruption_after_the_bake_keeps_the_asset(monkeypatch, capsys):
     kept = lumitree.load(stopped.path)
     assert os.path.exists("lamp.work")
     monkeypatch.setattr(evaluate, "evaluate_irradiance", compare)
-    monkeypatch.setattr(batches, "LampRays", None)
+    monkeypatch.setattr(light_field_bake, "LampRays", None)
     again = lumitree.bake("lamp.xml", "lamp.lumitree", standard(parts=["light"]))
     assert again.stopped_by is None
     assert again.irradiance is not None
@@ -338,7 +337,7 @@ def test_an_light_field_alone_has_nothing_to_refine():
 
 def test_an_interrupted_bake_keeps_the_light_field(monkeypatch):
     """The same call continues it, without tracing the light paths again."""
-    from lumitree.fit.octree.refine import Refiner
+    from lumitree.fit.octree.descent import Refiner
 
     advance = Refiner.advance
 
@@ -353,7 +352,7 @@ def test_an_interrupted_bake_keeps_the_light_field(monkeypatch):
     assert cut.asset.light_field is not None
     assert LIGHT_FIELD_STATE in os.listdir("lamp.work")
     monkeypatch.setattr(Refiner, "advance", advance)
-    monkeypatch.setattr(batches, "LampRays", None)
+    monkeypatch.setattr(light_field_bake, "LampRays", None)
     whole = lumitree.bake("lamp.xml", "lamp.lumitree")
     assert whole.stopped_by is None
     assert_equal_fields(whole.asset.light_field, cut.asset.light_field)

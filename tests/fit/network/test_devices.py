@@ -10,9 +10,8 @@ import jax
 import numpy as np
 import pytest
 
-from lumitree.fit.network.run import restore_checkpoint
 from lumitree.fit.network.step import initial_state
-from lumitree.fit.network.train import train
+from lumitree.fit.network.train import restore_checkpoint, train
 from support.four_devices import steps
 from support.sphere import TINY, sphere_dataset
 

@@ -9,7 +9,8 @@ import pytest
 
 from lumitree.core.transmittance import LAWS
 from lumitree.fit.network.config import TrainConfig
-from lumitree.fit.network.losses import (
+from lumitree.fit.network.network import composite
+from lumitree.fit.network.step import (
     EPSILON,
     colour_loss,
     hdr_loss,
@@ -17,7 +18,6 @@ from lumitree.fit.network.losses import (
     psnr,
     total_loss,
 )
-from lumitree.fit.network.volume import composite
 from support.slow import slow_but_sets
 
 NUM_RAYS, NUM_INTERVALS = 3, 5

@@ -6,14 +6,14 @@ import pytest
 
 from lumitree.core.directions import orthographic_rays, view_pose
 from lumitree.errors import LumitreeError
-from lumitree.fit.network.occupancy import (
+from lumitree.fit.network.rays import (
     contains,
     dilated_hull,
     full_occupancy,
     load_occupancy,
+    load_rays,
     save_occupancy,
 )
-from lumitree.fit.network.ray_set import load_rays
 from support.sphere import CENTRE, HALF_EXTENTS, HALF_WIDTH, RADIUS, hit_distance, sphere_dataset
 
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from lumitree.fit.config import BakeConfig
-from lumitree.fit.network.losses import EPSILON
-from lumitree.fit.network.step import learning_rate
+from lumitree.fit.network.step import EPSILON, learning_rate
 from lumitree.octree.extract import extract
 from lumitree.rendering.sampling.emitter_sampling import SAMPLING_KINDS
 

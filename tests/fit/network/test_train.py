@@ -19,16 +19,15 @@ from lumitree.core.dataset import Dataset
 from lumitree.errors import LumitreeError
 from lumitree.fit.network import train as training
 from lumitree.fit.network.config import TrainConfig
-from lumitree.fit.network.losses import psnr
-from lumitree.fit.network.ray_set import load_rays
-from lumitree.fit.network.run import (
+from lumitree.fit.network.rays import load_rays
+from lumitree.fit.network.step import initial_state, psnr
+from lumitree.fit.network.train import (
     RunRecord,
     open_checkpoints,
     restore_checkpoint,
     save_checkpoint,
+    train,
 )
-from lumitree.fit.network.step import initial_state
-from lumitree.fit.network.train import train
 from lumitree.fit.network.trained_field import load_field
 from support.sphere import CENTRE, RADIUS, TINY, sphere_dataset
 

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from lumitree.core.transmittance import LAWS
-from lumitree.fit.network import volume
-from lumitree.fit.network.occupancy import Occupancy, full_occupancy
-from lumitree.fit.network.volume import UNIFORM_SHARE, importance_samples, stratified_edges
+from lumitree.fit.network import network as volume
+from lumitree.fit.network.network import UNIFORM_SHARE, importance_samples, stratified_edges
+from lumitree.fit.network.rays import Occupancy, full_occupancy
 
 NUM_RAYS, NUM_INTERVALS = 4, 9
 

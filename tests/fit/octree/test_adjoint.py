@@ -25,7 +25,7 @@ def unpadded(field, coefficients):
 
 def both_gradients(mi, field, origins, directions, d_radiance, d_depth):
     """Gradients by log density [M] and coefficients [M, 3 K]."""
-    from lumitree.fit.octree.adjoint import gradients
+    from lumitree.fit.octree.leaf_field import gradients
 
     o, d = rays_on_device(mi, origins, directions)
     integrated = field.integrate(o, d)
@@ -56,7 +56,7 @@ class ReferenceField:
             l_max=self._asset.l_max,
             law=self._asset.law,
             max_radiance=1.0,
-            gain=(1.0, 1.0, 1.0),
+            light_factors=(1.0, 1.0, 1.0),
             density=np.exp(self.log_density),
             coefficients=self.coefficients,
         )
@@ -84,7 +84,7 @@ class ReferenceField:
 @pytest.mark.parametrize("law", ["linear", "exponential"])
 @pytest.mark.parametrize("l_max", [0, 1, 2])
 def test_adjoint_is_the_derivative(mi, law, l_max, monkeypatch):
-    from lumitree.fit.octree.adjoint import depth_gradient
+    from lumitree.fit.octree.leaf_field import depth_gradient
 
     density_scale = {"linear": 1.0, "exponential": 1.5}[law]
 
@@ -164,7 +164,7 @@ def test_leaves_too_thin_to_be_visible_have_the_right_gradient(mi, law):
 @pytest.mark.parametrize("density", [[0.3, 0.5, 0.2, 0.1], [0.6, 1.0, 1.8, 20.0]])
 def test_values_are_accumulated_by_weight(mi, law, density):
     """Of several rays; a leaf behind an opaque one has no weight."""
-    from lumitree.fit.octree.adjoint import accumulate_by_weight
+    from lumitree.fit.octree.leaf_field import accumulate_by_weight
 
     field = leaf_field(column(density, [0.5] * 4, law))
     origins, directions = (np.repeat(values, 2, axis=0) for values in ALONG_X)

@@ -45,7 +45,7 @@ def ball(lamp):
 @pytest.mark.parametrize("law", [slow("linear"), "exponential"])
 def test_baked_flux_is_the_traced_flux(ball, law, tmp_path):
     from lumitree.fit.octree.bake import bake
-    from lumitree.fit.octree.traced import TracedRays
+    from lumitree.fit.octree.rays import TracedRays
     from lumitree.octree.field import Field
 
     # The correction's eight million rays estimate it to ±0.5 %, as the million below.
@@ -86,8 +86,8 @@ def test_a_field_that_cannot_be_bright_enough_is_told(lamp, tmp_path):
 def test_score_is_that_of_the_asset_even_where_descent_makes_it_worse(ball, tmp_path):
     """With far too large steps, the field that is returned is the one of the score."""
     from lumitree.fit.octree.bake import bake
-    from lumitree.fit.octree.heldout import HeldOut
-    from lumitree.fit.octree.traced import TracedRays
+    from lumitree.fit.octree.descent import HeldOut
+    from lumitree.fit.octree.rays import TracedRays
 
     wild = config(refine={"density_rate": 30.0, "coefficient_rate": 30.0, "final_rate": 1.0})
     result = bake(ball, wild, tmp_path)
@@ -102,7 +102,7 @@ def test_score_is_that_of_the_asset_even_where_descent_makes_it_worse(ball, tmp_
 
 def interrupt_after(monkeypatch, steps):
     """Presses Ctrl-C during the step of that number; returns the list of steps done."""
-    from lumitree.fit.octree.refine import Refiner
+    from lumitree.fit.octree.descent import Refiner
 
     advance, done = Refiner.advance, []
 

@@ -29,7 +29,7 @@ def emission(field):
 
 def weights(mi, field):
     """Summed weights of each leaf in many rays [M]."""
-    from lumitree.fit.octree.adjoint import accumulate_by_weight
+    from lumitree.fit.octree.leaf_field import accumulate_by_weight
 
     origin, direction = random_rays(mi, 1 << 16, 3)
     return np.array(accumulate_by_weight(field, origin, direction, mi.Float(1)))
@@ -88,7 +88,7 @@ def test_moments_are_those_of_each_cell_alone(mi):
     from lumitree.core.device import on_device
     from lumitree.core.frames import towards_viewer
     from lumitree.core.harmonics import Y_00, basis_array
-    from lumitree.fit.octree.adjoint import emission_moments
+    from lumitree.fit.octree.leaf_field import emission_moments
 
     truth, _ = truth_and_start("exponential")
     cell = np.arange(truth.num_leaves) % 3
@@ -130,7 +130,7 @@ def test_calibration_of_a_correct_field_adds_little_noise(mi):
 @pytest.mark.parametrize("split", [False, True])
 def test_flux_correction_factor_is_what_l_max_lacks(mi, split):
     """Of the true field, with an L_max that is too small."""
-    from lumitree.fit.octree.flux_correction import flux_correction
+    from lumitree.fit.octree.calibration import flux_correction
 
     truth, _ = truth_and_start("exponential")
     rays = FieldRays(mi, truth, split=split)
@@ -154,8 +154,7 @@ def test_flux_correction_factor_is_what_l_max_lacks(mi, split):
 
 def test_both_end_after_a_first_part_when_the_time_is_over(mi):
     """A bake keeps to its time, and nothing of it is left out."""
-    from lumitree.fit.octree.calibration import calibrate
-    from lumitree.fit.octree.flux_correction import flux_correction
+    from lumitree.fit.octree.calibration import calibrate, flux_correction
 
     truth, _ = truth_and_start("exponential")
     rays, drawn = FieldRays(mi, truth, split=True), []

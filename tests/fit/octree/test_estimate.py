@@ -15,7 +15,7 @@ def settings(rays):
 
 
 def source(luminaire):
-    from lumitree.fit.octree.traced import TracedRays
+    from lumitree.fit.octree.rays import TracedRays
 
     return TracedRays(luminaire, 1 / 64)
 
@@ -126,8 +126,7 @@ def test_emission_of_an_opaque_surface_is_its_radiance(lamp, l_max):
 
 def test_what_ends_at_the_border_is_as_dense_as_its_mirror_image(lamp):
     """Plates whose outer faces lie on the proxy box: on the last cells' far border for one."""
-    from lumitree.fit.octree.estimate import estimate
-    from lumitree.fit.octree.growth import inside_box
+    from lumitree.fit.octree.estimate import estimate, inside_box
 
     level = 4
     plates = [cube(f"plate{sign}", (2, 2, 0.04), (0, 0, 0.96 * sign), AREA) for sign in (-1, 1)]
@@ -144,7 +143,7 @@ def test_what_ends_at_the_border_is_as_dense_as_its_mirror_image(lamp):
 
 
 def test_grow_keeps_what_the_surface_touches(lamp):
-    from lumitree.fit.octree.growth import grow
+    from lumitree.fit.octree.estimate import grow
 
     level = 6
     cells = grow(opaque_sphere(lamp), level, settings(RAYS))
@@ -161,7 +160,7 @@ def test_grow_keeps_what_the_surface_touches(lamp):
 
 
 def test_grow_stays_in_the_proxy_box(lamp):
-    from lumitree.fit.octree.growth import grow
+    from lumitree.fit.octree.estimate import grow
 
     rays = source(lamp(cube("lamp", (1, 0.5, 0.1), (0, 0, 3), AREA)))
     cells = grow(rays, 3, settings(RAYS))

@@ -31,7 +31,7 @@ def random_rays(mi, random, count):
 @pytest.mark.parametrize("error", [0.0, 0.02, 0.1])
 def test_noise_leaves_no_bias(mi, error):
     """Even if the noise is a hundred times as strong as the smaller error."""
-    from lumitree.fit.octree.heldout import HeldOut
+    from lumitree.fit.octree.descent import HeldOut
 
     random = np.random.default_rng(1)
     count, truth = 1 << 18, 0.3
@@ -57,7 +57,7 @@ def test_noise_leaves_no_bias(mi, error):
 
 
 def test_rank_counts_opacity_as_much_as_radiance(mi):
-    from lumitree.fit.octree.heldout import HeldOut
+    from lumitree.fit.octree.descent import HeldOut
 
     random = np.random.default_rng(0)
     origin, direction = random_rays(mi, random, 1 << 12)
@@ -74,7 +74,7 @@ def test_rank_counts_opacity_as_much_as_radiance(mi):
 
 def test_uncertainty_counts_tiles_not_rays(mi):
     """The errors of the rays of a tile are correlated: a tile counts as one."""
-    from lumitree.fit.octree.heldout import HeldOut
+    from lumitree.fit.octree.descent import HeldOut
 
     field = uniform_field(0.5)
     squared, uncertainties = [], []
@@ -94,8 +94,8 @@ def test_uncertainty_counts_tiles_not_rays(mi):
 
 
 def test_held_out_rays_are_in_no_step(mi, lamp):
-    from lumitree.fit.octree.heldout import HeldOut
-    from lumitree.fit.octree.traced import TracedRays
+    from lumitree.fit.octree.descent import HeldOut
+    from lumitree.fit.octree.rays import TracedRays
 
     source = TracedRays(lamp(sphere("lamp", 2.0, inside=AREA)), 1 / 32)
     held_out = HeldOut.trace(source, 10.0, HeldOutConfig(rays=1 << 15, paths=2))
@@ -111,6 +111,6 @@ def test_held_out_rays_are_in_no_step(mi, lamp):
 
 
 def test_a_score_as_text():
-    from lumitree.fit.octree.heldout import Score
+    from lumitree.fit.octree.descent import Score
 
     assert str(Score(31.416, 0.0271, 20.0)) == "held-out PSNR 31.42 ± 0.03 dB"

@@ -12,7 +12,7 @@ RAYS = 1 << 12
 
 def refiner(mi, start, truth, *, noise=True, split=False, max_leaves=100_000, **options):
     """A refiner; `split` is as for `FieldRays`."""
-    from lumitree.fit.octree.refine import Refiner
+    from lumitree.fit.octree.descent import Refiner
 
     rays = FieldRays(mi, truth, noise, split)
     splitting = SplitConfig(indicator_rays=1 << 14, max_leaves=max_leaves)
@@ -21,7 +21,7 @@ def refiner(mi, start, truth, *, noise=True, split=False, max_leaves=100_000, **
 
 def score(mi, truth, field):
     """PSNR and RMSE of the transmittance, on rays of no step."""
-    from lumitree.fit.octree.heldout import HeldOut
+    from lumitree.fit.octree.descent import HeldOut
 
     origin, direction = random_rays(mi, 1 << 14, 10**6)
     radiance, through, _ = truth.integrate(origin, direction)

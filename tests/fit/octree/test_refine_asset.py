@@ -42,8 +42,8 @@ def rough(luminaire, l_max=1, law="exponential", **options):
 
 def score(luminaire, asset):
     """By rays of another seed than those of the refinement."""
-    from lumitree.fit.octree.heldout import HeldOut
-    from lumitree.fit.octree.traced import TracedRays
+    from lumitree.fit.octree.descent import HeldOut
+    from lumitree.fit.octree.rays import TracedRays
 
     source = TracedRays(luminaire, 1 / 32, seed=99)
     return HeldOut.trace(source, asset.max_radiance, HeldOutConfig(rays=1 << 12)).score(

@@ -16,7 +16,7 @@ CONFIG = OctreeConfig(l_max=1, refine=RefineConfig(rays=1 << 10))
 
 
 def state_file(folder, config=CONFIG, fingerprint="abc", seed=0):
-    from lumitree.fit.octree.ray_source import Subject
+    from lumitree.fit.octree.rays import Subject
     from lumitree.fit.octree.saved_state import StateFile
 
     return StateFile(
@@ -25,7 +25,7 @@ def state_file(folder, config=CONFIG, fingerprint="abc", seed=0):
 
 
 def refiner(mi, seed=3):
-    from lumitree.fit.octree.refine import Refiner
+    from lumitree.fit.octree.descent import Refiner
 
     truth, start = truth_and_start("linear", seed=seed)
     return Refiner(start, FieldRays(mi, truth), 1.0, CONFIG.refine, SplitConfig())
@@ -37,7 +37,7 @@ def saved(mi, tmp_path):
     descent = refiner(mi)
     first = descent.field.copy()
     descent.advance(0.0)
-    state_file(tmp_path).save(descent, first, 12.5, 345, 6.75)
+    state_file(tmp_path).save(descent.state(), first, 12.5, 345, 6.75)
     return descent, first
 
 
@@ -48,10 +48,11 @@ def test_a_saved_state_is_restored(mi, saved, tmp_path):
     state = state_file(tmp_path, config).load()
     assert (state.seconds, state.rays, state.max_radiance) == (12.5, 345, 6.75)
     other = refiner(mi, seed=5)
-    best = state.restore(other)
-    for field, expected in ((best, first), (other.field, descent.field)):
+    other.restore(state.arrays)
+    best = {name: state.arrays[f"best_{name}"] for name in first.arrays()}
+    for found, expected in ((best, first), (other.field.arrays(), descent.field)):
         for name, value in expected.arrays().items():
-            assert np.array_equal(field.arrays()[name], value)
+            assert np.array_equal(found[name], value)
     for name, value in descent.state().items():
         assert np.array_equal(other.state()[name], value), name
 

@@ -18,7 +18,7 @@ VIEWS, RESOLUTION = 17, 64
 def dataset(mi, tmp_path_factory):
     """An emissive sphere beside a grey cube."""
     from lumitree.lamp.loading import load_luminaire
-    from lumitree.trace.capture import capture
+    from lumitree.trace.cameras import capture
 
     folder = tmp_path_factory.mktemp("stored")
     grey = '<bsdf type="diffuse"/>'
@@ -146,7 +146,7 @@ def test_another_capture_of_the_lamp_is_another_subject(mi, dataset):
 
 def test_one_view_is_refused(mi, lamp, tmp_path):
     from lumitree.fit.octree.stored import StoredRays
-    from lumitree.trace.capture import capture
+    from lumitree.trace.cameras import capture
 
     emissive = lamp(sphere("lamp", 1, inside=AREA))
     one = capture(

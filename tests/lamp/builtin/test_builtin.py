@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import trimesh
 
-from lumitree.asset.geometry_media import scattering_sides
 from lumitree.errors import LumitreeError
 from lumitree.lamp.builtin.registry import BUILTIN
 from lumitree.lamp.loading import load_luminaire
@@ -13,7 +12,7 @@ from lumitree.lamp.opening import scene_path
 from lumitree.lamp.scene_writer import SCENE_FILE, write_scene
 from lumitree.lamp.source import as_source
 from lumitree.lamp.stored_geometry import stored_geometry
-from lumitree.trace.capture import capture
+from lumitree.trace.cameras import capture
 from support.slow import slow_but
 
 
@@ -127,7 +126,7 @@ def test_tiny_capture(mi, name, tmp_path):
     lamp = load_luminaire(name)
     assert lamp.has_media == (name in ("cluster", "star"))
     model = stored_geometry(lamp)
-    assert (model.has_media, any(map(scattering_sides, model.shapes))) == (
+    assert (model.has_media, any(shape.scatters for shape in model.shapes)) == (
         lamp.has_media,
         lamp.scatters,
     )

@@ -18,7 +18,7 @@ from lumitree.formats.ies import read_ies
 from lumitree.formats.ldt import read_ldt
 from lumitree.formats.tm25 import read_tm25
 from lumitree.rendering.asset_flux import asset_lumens
-from lumitree.trace.lamp_rays import LampRays
+from lumitree.trace.light_paths import LampRays
 from support.lamps import AREA, scene, sphere
 from support.light_fields import random_light_field
 

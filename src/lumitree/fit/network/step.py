@@ -1,25 +1,109 @@
-"""The training step, and the evaluation between steps, as jitted functions.
+"""The training step: its loss (Eq. 7 to 9), its devices, and the evaluation between steps.
 
-Every random number of a step is a function of the seed and the step's index. The state therefore
-consists of the weights, Adam's moments and the step, and a resumed run equals an uninterrupted one.
+Every random number of a step is a function of the seed and the step's index, and belongs to a
+ray's place in its chunk, not to a device. The state therefore consists of the weights, Adam's
+moments and the step. A resumed run equals an uninterrupted one, and the number of devices changes
+only the order of sums.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optax
 from flax import nnx
-from jax.sharding import Mesh, NamedSharding
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from lumitree.fit.network.config import TrainConfig
-from lumitree.fit.network.devices import divided, on_all, ray_mesh
-from lumitree.fit.network.losses import psnr, total_loss
-from lumitree.fit.network.network import CoarseAndFine
-from lumitree.fit.network.occupancy import Occupancy
-from lumitree.fit.network.ray_set import Batch
-from lumitree.fit.network.volume import render
+from lumitree.fit.network.network import CoarseAndFine, Composite, render
+from lumitree.fit.network.rays import Batch, Occupancy
+
+Tree = TypeVar("Tree")
+_RAYS = "rays"
+
+
+def ray_mesh(num_rays: int) -> Mesh:
+    """The devices that share `num_rays` rays: as many of this process as divide their number."""
+    devices = jax.local_devices()
+    count = max(n for n in range(1, len(devices) + 1) if num_rays % n == 0)
+    return Mesh(np.array(devices[:count]), (_RAYS,))
+
+
+def divided(mesh: Mesh, chunks: Tree) -> Tree:
+    """Within a jitted function: arrays [C, R, ...] of C chunks, whose R rays are divided."""
+    return jax.lax.with_sharding_constraint(chunks, NamedSharding(mesh, PartitionSpec(None, _RAYS)))
+
+
+def on_all(mesh: Mesh) -> NamedSharding:
+    """The sharding of arrays that every device holds as a whole."""
+    return NamedSharding(mesh, PartitionSpec())
+
+
+# The regulariser of Eq. 8, radiance units.
+EPSILON = 0.01
+
+
+def hdr_loss(
+    predicted: jax.Array, radiance: jax.Array, max_radiance: float, stop_gradient: bool
+) -> jax.Array:
+    """Relative squared error of HDR radiance (Eq. 8), the mean over rays.
+
+    As in the paper, the error is that of radiance / L_max, and the denominator is in radiance
+    units. If the error were in radiance units too, this term would be L_max² times larger, and the
+    opacity loss would have no effect; see docs/decisions/network.md.
+
+    Args:
+        predicted: [R, 3] radiance, >= 0.
+        radiance: [R, 3] captured radiance, >= 0.
+        max_radiance: L_max, > 0.
+        stop_gradient: treat the denominator as constant in the gradient. The minimum over noisy
+            captures is then their mean; otherwise it is biased towards higher radiance.
+    """
+    denominator = jax.lax.stop_gradient(predicted) if stop_gradient else predicted
+    error = (predicted - radiance) / max_radiance / (denominator + EPSILON)
+    return jnp.mean(jnp.sum(error**2, axis=-1))
+
+
+def colour_loss(
+    predicted: jax.Array, radiance: jax.Array, max_radiance: float, config: TrainConfig
+) -> jax.Array:
+    """The error of colours that the settings choose (`config.ColourLoss`), the mean over rays."""
+    if config.colour_loss == "mse":
+        error = (predicted - radiance) / max_radiance
+        return jnp.mean(jnp.sum(error**2, axis=-1))
+    loss = hdr_loss(predicted, radiance, max_radiance, config.stop_gradient)
+    return loss * max_radiance**2 if config.colour_loss == "hdr_radiance" else loss
+
+
+def opacity_loss(predicted: jax.Array, opacity: jax.Array) -> jax.Array:
+    """Squared error of opacity [R] (Eq. 9), averaged over rays."""
+    return jnp.mean((predicted - opacity) ** 2)
+
+
+def total_loss(
+    coarse: Composite,
+    fine: Composite,
+    radiance: jax.Array,
+    opacity: jax.Array,
+    max_radiance: float,
+    config: TrainConfig,
+) -> jax.Array:
+    """L_c + L_f + L_opacity with equal weights (Eq. 7); L_opacity uses the fine network's opacity.
+
+    Without `config.supervise_opacity` L_opacity is left out.
+    """
+    loss = colour_loss(coarse.radiance, radiance, max_radiance, config)
+    loss += colour_loss(fine.radiance, radiance, max_radiance, config)
+    return loss + opacity_loss(fine.opacity, opacity) if config.supervise_opacity else loss
+
+
+def psnr(predicted: jax.Array, radiance: jax.Array, max_radiance: float) -> jax.Array:
+    """Peak signal-to-noise ratio of rays [R, 3] in dB, of radiance / L_max clipped to [0, 1]."""
+    found, true = (jnp.clip(value / max_radiance, 0, 1) for value in (predicted, radiance))
+    return -10 * jnp.log10(jnp.maximum(jnp.mean((found - true) ** 2), 1e-12))
+
 
 # Positions evaluated at once on a CPU. The activations of a few thousand positions fit its caches.
 # A step is then 2 to 3 times faster than one pass over the batch (2 cores, width 64).

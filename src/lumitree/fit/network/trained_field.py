@@ -13,10 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 from lumitree.core.frames import LocalFrame
 from lumitree.core.harmonics import num_coefficients
 from lumitree.core.transmittance import EmissionWeights, Law
-from lumitree.fit.network.occupancy import Occupancy, contains, load_occupancy
-from lumitree.fit.network.run import OCCUPANCY, RunRecord, restore_checkpoint
+from lumitree.fit.network.network import render
+from lumitree.fit.network.rays import Occupancy, contains, load_occupancy
 from lumitree.fit.network.step import initial_state
-from lumitree.fit.network.volume import render
+from lumitree.fit.network.train import OCCUPANCY, RunRecord, restore_checkpoint
 
 # Positions per call of the network. 4096 fit a CPU's caches (and were measured to be three times
 # faster than 8192); a GPU needs more to be busy.

@@ -18,23 +18,18 @@ from numpy.typing import NDArray
 from lumitree.asset.asset import Asset
 from lumitree.core.dataset import Dataset
 from lumitree.core.harmonics import Y_00, num_coefficients
-from lumitree.core.interrupt import deferred_interrupt
+from lumitree.core.interruption import deferred_interrupt
 from lumitree.core.progress import progress
 from lumitree.core.seeds import MAX_SEED, Purpose, SeedStream
 from lumitree.errors import LumitreeError, LumitreeWarning
-from lumitree.fit.octree.calibration import calibrate
+from lumitree.fit.octree.calibration import calibrate, flux_correction
 from lumitree.fit.octree.config import OctreeConfig
-from lumitree.fit.octree.descent import Budget, Descent
-from lumitree.fit.octree.estimate import estimate
-from lumitree.fit.octree.flux_correction import flux_correction
-from lumitree.fit.octree.growth import grow
-from lumitree.fit.octree.heldout import HeldOut, Score
-from lumitree.fit.octree.leaf_field import LeafField
-from lumitree.fit.octree.ray_source import RaySource, Subject
-from lumitree.fit.octree.refine import Refiner
+from lumitree.fit.octree.descent import Budget, Descent, HeldOut, Refiner, Score
+from lumitree.fit.octree.estimate import estimate, grow
+from lumitree.fit.octree.leaf_field import LEAVES, LeafField
+from lumitree.fit.octree.rays import RaySource, Subject, TracedRays
 from lumitree.fit.octree.saved_state import StateFile
 from lumitree.fit.octree.stored import StoredRays
-from lumitree.fit.octree.traced import TracedRays
 from lumitree.lamp.luminaire import Luminaire
 from lumitree.octree.build import build_children
 from lumitree.octree.leaves import leaf_cells
@@ -160,7 +155,10 @@ def _run(
         budget = Budget(config, saved.seconds, saved.rays)
         field, max_radiance = _empty_field(config, source), saved.max_radiance
     refiner = Refiner(field, source, max_radiance, config.refine, config.split)
-    best = None if saved is None else saved.restore(refiner)
+    best = None
+    if saved is not None:
+        refiner.restore(saved.arrays)
+        best = refiner.field.with_leaves(*(saved.arrays[f"best_{name}"] for name in LEAVES))
     held_out = HeldOut.trace(source, max_radiance, config.held_out)
     # Of a bake that continues not the field as it is: the bake would not have kept it here.
     first = refiner.field if best is None else best

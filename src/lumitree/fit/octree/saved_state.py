@@ -15,9 +15,8 @@ from lumitree.core.harmonics import num_coefficients
 from lumitree.core.reading import read_arrays
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.fit.octree.config import OctreeConfig
-from lumitree.fit.octree.leaf_field import LEAVES, LeafField, padded_width
-from lumitree.fit.octree.ray_source import Subject
-from lumitree.fit.octree.refine import Refiner
+from lumitree.fit.octree.leaf_field import LeafField, padded_width
+from lumitree.fit.octree.rays import Subject
 
 STATE = "state.npz"
 # Raised whenever the arrays of a state or their meaning change.
@@ -35,12 +34,7 @@ class SavedState:
     seconds: float
     rays: int
     max_radiance: float
-    _arrays: dict[str, NDArray[Any]]
-
-    def restore(self, refiner: Refiner) -> LeafField:
-        """Give a refiner its field and optimiser back; returns the best field so far."""
-        refiner.restore(self._arrays)
-        return refiner.field.with_leaves(*(self._arrays[f"best_{name}"] for name in LEAVES))
+    arrays: dict[str, NDArray[Any]]
 
 
 class StateFile:
@@ -88,10 +82,14 @@ class StateFile:
         )
 
     def save(
-        self, refiner: Refiner, best: LeafField, seconds: float, rays: int, max_radiance: float
+        self,
+        state: dict[str, NDArray[Any]],
+        best: LeafField,
+        seconds: float,
+        rays: int,
+        max_radiance: float,
     ) -> None:
         """Save the state; warns, once, where that fails: the bake itself can go on."""
-        state = refiner.state()
         state["max_radiance"] = np.array(max_radiance)
         state["seconds"] = np.array(seconds)
         state["rays"] = np.array(rays)

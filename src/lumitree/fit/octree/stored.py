@@ -17,8 +17,8 @@ from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.core.visual_hull import visual_hull
 from lumitree.errors import LumitreeError
 from lumitree.fit.octree.config import TILE_RAYS, TILE_SIDE
-from lumitree.fit.octree.growth import inside_box
-from lumitree.fit.octree.ray_source import RayPairs, Rays, Subject, Wanted
+from lumitree.fit.octree.estimate import inside_box
+from lumitree.fit.octree.rays import RayPairs, Rays, Subject, Wanted
 
 
 class StoredRays:

@@ -7,7 +7,7 @@ import dataclasses
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
-from lumitree.asset.measured import CONDUCTORS
+from lumitree.asset.materials import CONDUCTORS
 from lumitree.core.photometry import MAX_TEMPERATURE, MIN_TEMPERATURE, blackbody_colour
 from lumitree.core.toml_file import Range, converted, read_toml
 from lumitree.core.units import UNITS

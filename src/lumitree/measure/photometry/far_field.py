@@ -35,10 +35,8 @@ from lumitree.measure.photometry.exact_light import (
 from lumitree.measure.photometry.near_field import NearFieldTest
 from lumitree.rendering.asset_flux import asset_watts
 from lumitree.rendering.asset_rays import AssetRays
-from lumitree.trace.emitted_rays import EmittedRays, RayBatch
-from lumitree.trace.emitted_spectrum import emitted_spectrum
-from lumitree.trace.lamp_rays import LampRays
-from lumitree.trace.lost_light import check_output
+from lumitree.trace.flux import check_output, emitted_spectrum
+from lumitree.trace.light_paths import EmittedRays, LampRays, RayBatch
 
 Up = Literal["y", "z"]
 # Samples that are traced at once.

@@ -9,8 +9,10 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.textures import Json
+from lumitree.asset import materials as asset_materials
+from lumitree.asset.materials import Image, Material, Parameter, Texture, VertexColours
 from lumitree.core.device import parameter
+from lumitree.core.mitsuba_meshes import VERTEX_COLOUR
 from lumitree.rendering.plugins.objects import load_ordered, make_object, make_properties
 
 
@@ -43,29 +45,28 @@ class Radiance:
 class Materials:
     """Makes BSDFs; equal textures are made once."""
 
-    def __init__(self, images: Sequence[NDArray[Any]]) -> None:
+    def __init__(self, images: Sequence[Image]) -> None:
         """Materials whose textures are of these images, see `AssetGeometry.images`."""
         self._images = images
-        self._textures: dict[str, Any] = {}
+        self._textures: dict[Texture | VertexColours, mi.Texture] = {}
 
-    def bsdf(self, material: Json) -> mi.BSDF:
+    def bsdf(self, material: Material) -> mi.BSDF:
         """The BSDF of a material."""
-        values = {f"nested_{i}": self.bsdf(m) for i, m in enumerate(material.get("nested", []))}
-        for name in material.keys() - {"type", "nested"}:
-            values[name] = self._value(material[name])
-        return make_object(material["type"], values)
+        values = {f"nested_{i}": self.bsdf(nested) for i, nested in enumerate(material.nested)}
+        values |= {name: self._value(value) for name, value in material.parameters.items()}
+        return make_object(material.plugin, values)
 
-    def _value(self, value: Any) -> Any:
-        if isinstance(value, list):
-            return mi.ScalarColor3d(value)
-        if isinstance(value, dict):
+    def _value(self, value: Parameter) -> Any:
+        if isinstance(value, tuple):
+            return mi.ScalarColor3d(list(value))
+        if isinstance(value, Texture | VertexColours):
             return self._texture(value)
         # JSON writes 1.0 as 1, too; Mitsuba refuses an integer as an index of refraction.
         return float(value) if type(value) is int else value
 
-    def radiance(self, radiance: Any) -> Radiance:
+    def radiance(self, radiance: asset_materials.Radiance) -> Radiance:
         """Emission of a shape."""
-        if not isinstance(radiance, dict):
+        if not isinstance(radiance, Texture):
             return Radiance(np.broadcast_to(radiance, 3).tolist())
         if not mi.is_spectral:
             values = {"radiance": self._value(radiance)}
@@ -75,23 +76,22 @@ class Materials:
         description["bitmap"] = description["bitmap"].convert(*pixels)
         return Radiance(load_ordered(description | {"raw": True}))
 
-    def _texture(self, texture: Json) -> mi.Texture:
-        key = repr(sorted(texture.items()))
-        if key not in self._textures:
-            self._textures[key] = load_ordered(self._description(texture))
-        return self._textures[key]
+    def _texture(self, texture: Texture | VertexColours) -> mi.Texture:
+        if texture not in self._textures:
+            self._textures[texture] = load_ordered(self._description(texture))
+        return self._textures[texture]
 
-    def _description(self, texture: Json) -> dict[str, Any]:
-        if "attribute" in texture:
-            return {"type": "mesh_attribute", "name": texture["attribute"]}
-        image = self._images[texture["image"]]
+    def _description(self, texture: Texture | VertexColours) -> dict[str, Any]:
+        if isinstance(texture, VertexColours):
+            return {"type": "mesh_attribute", "name": VERTEX_COLOUR}
+        image = self._images[texture.image]
         bitmap = mi.Bitmap(np.ascontiguousarray(image))
-        bitmap.set_srgb_gamma(image.dtype == np.uint8 and not texture["raw"])
+        bitmap.set_srgb_gamma(image.dtype == np.uint8 and not texture.raw)
         return {
             "type": "bitmap",
             "bitmap": bitmap,
-            "raw": texture["raw"],
-            "filter_type": texture["filter_type"],
-            "wrap_mode": texture["wrap_mode"],
-            "to_uv": mi.ScalarTransform4f(np.array(texture["to_uv"])),
+            "raw": texture.raw,
+            "filter_type": texture.filter_type,
+            "wrap_mode": texture.wrap_mode,
+            "to_uv": mi.ScalarTransform4f(np.array(texture.to_uv)),
         }

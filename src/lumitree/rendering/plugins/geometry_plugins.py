@@ -72,7 +72,7 @@ def geometry_emitter_class() -> type:
             """
             super().__init__(make_properties("lumitree_geometry", {"sampling_weight": 0.0}))
             self._lamp, self._radiance = lamp, radiance
-            self._gain = parameter(mi.Color3f, *lamp.placed.asset.gain)
+            self._gain = parameter(mi.Color3f, *lamp.placed.asset.light_factors)
             self._density = parameter(mi.Float, density)
             self.traced = lamp.placed.traces_straight_light
             self.m_flags = mi.EmitterFlags.Surface | mi.EmitterFlags.SpatiallyVarying

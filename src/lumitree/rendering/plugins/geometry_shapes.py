@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
-from lumitree.asset.geometry import AssetGeometry
-from lumitree.asset.geometry_media import MEDIA_SIDES, scattering_sides, side_medium
-from lumitree.asset.materials import is_specular
-from lumitree.asset.textures import Json
+from lumitree.asset.geometry import AssetGeometry, Medium, MeshArrays, Shape, UnitShape
+from lumitree.asset.materials import Dielectric, Material, is_specular
+from lumitree.asset.materials import Radiance as ShapeRadiance
 from lumitree.core.device import transforms_as_parameters
 from lumitree.core.frames import LocalFrame, similarity_scale
 from lumitree.core.mitsuba_meshes import make_mesh
@@ -55,7 +54,7 @@ def straight_light(asset: Asset) -> StraightLight | None:
         if not surfaces:
             return None
         half_extents = asset.frame.half_extents
-        light = StraightLight(surfaces, asset.light_field, half_extents, asset.gain)
+        light = StraightLight(surfaces, asset.light_field, half_extents, asset.light_factors)
         return lights.setdefault(key, light)
     return lights[key]
 
@@ -65,8 +64,8 @@ def emitting_surfaces(geometry: AssetGeometry, frame: LocalFrame) -> list[Emitti
     matrix = frame.local_from_world @ geometry.file_from_geometry
     found = []
     for shape, mesh in zip(geometry.shapes, geometry.meshes(), strict=True):
-        if shape["radiance"] is not None:
-            radiance = _surfaces(geometry).emitted(shape["radiance"])
+        if shape.radiance is not None:
+            radiance = _surfaces(geometry).emitted(shape.radiance)
             source = radiance if radiance.constant is None else radiance.constant
             found.append(emitting_surface(shape, mesh, source, matrix))
     return found
@@ -81,18 +80,18 @@ class _Builder:
         self._matrix = scene_from_world @ geometry.file_from_geometry
         straight = lamp.straight
         self._densities = iter([] if straight is None else straight.densities)
-        # By their descriptions: all shapes of one medium share an object.
-        self._media: dict[str, Any] = {}
+        # All shapes of one medium share an object.
+        self._media: dict[Medium, mi.Medium] = {}
         self._scale = similarity_scale(scene_from_world, "to_world")
         self._emitter = geometry_emitter_class()
         self._surfaces = _surfaces(geometry)
 
-    def shape(self, shape: Json, mesh: dict[str, NDArray[Any]] | None) -> mi.Shape:
+    def shape(self, shape: Shape, mesh: MeshArrays | None) -> mi.Shape:
         """A shape of the geometry, with its BSDF and its emitter."""
-        material = self._geometry.materials[shape["material"]]
-        radiance = shape["radiance"]
+        material = self._geometry.materials[shape.material]
+        radiance = shape.radiance
         bsdf = self._surfaces.bsdf(shape)
-        values = {"flip_normals": shape["flipped"], "bsdf": bsdf}
+        values = {"flip_normals": shape.flipped, "bsdf": bsdf}
         # A surface that shows other things needs no emitter: it neither emits nor scatters.
         emitted = None if radiance is None else self._surfaces.emitted(radiance)
         if radiance is not None or not is_specular(material):
@@ -100,43 +99,41 @@ class _Builder:
             if emitted is not None:
                 density = next(self._densities) / self._lamp.placed.numbers[0] ** 2
             values["emitter"] = self._emitter(self._lamp, emitted, density)
-        for side in MEDIA_SIDES:
-            if side in shape:
-                values[side] = self._medium(shape[side])
-        if mesh is None:
-            matrix = self._matrix @ np.array(shape["to_world"], np.float64)
+        values |= {side: self._medium(medium) for side, medium in shape.media.items()}
+        if isinstance(shape, UnitShape):
+            matrix = self._matrix @ np.array(shape.to_world, np.float64)
             values["to_world"] = mi.ScalarTransform4d(matrix)
-            made = make_object(shape["type"], values)
+            made = make_object(shape.type, values)
             transforms_as_parameters([made])
         else:
+            assert mesh is not None
             made = self._mesh(mesh, make_properties("", values))
         return made
 
-    def _mesh(self, mesh: dict[str, NDArray[Any]], props: mi.Properties) -> mi.Mesh:
+    def _mesh(self, mesh: MeshArrays, props: mi.Properties) -> mi.Mesh:
         rotation = self._matrix[:3, :3] / self._scale
         vertices = mesh["vertices"] @ self._matrix[:3, :3].T + self._matrix[:3, 3]
         placed = {**mesh, "vertices": vertices, "normals": mesh["normals"] @ rotation.T}
         return make_mesh("geometry", placed, props)
 
-    def _medium(self, described: Any) -> mi.Medium:
-        """The medium of a side of a shape, whose coefficients are per unit of the file."""
-        key = repr(described)
-        if key not in self._media:
-            absorption, scattering, anisotropy = side_medium(described)
+    def _medium(self, medium: Medium) -> mi.Medium:
+        """A medium, whose coefficients are per unit of the file."""
+        if medium not in self._media:
+            absorption, scattering = np.array(medium.absorption), np.array(medium.scattering)
             extinction = absorption + scattering
             densest = max(*extinction, 1e-30)
             albedo = scattering / np.maximum(extinction, 1e-30)
-            phase = make_object("hg", {"g": anisotropy})
-            self._media[key] = make_object(
+            phase = make_object("hg", {"g": medium.anisotropy})
+            self._media[medium] = make_object(
                 "homogeneous",
                 {
                     "sigma_t": mi.ScalarColor3d(extinction / densest),
                     "albedo": mi.ScalarColor3d(albedo),
                     "scale": densest / self._scale,
-                    "phase": phase if anisotropy else make_object("isotropic", {}),
+                    "phase": phase if medium.anisotropy else make_object("isotropic", {}),
                 },
             )
-        return self._media[key]
+        return self._media[medium]
 
 
 def _surfaces(geometry: AssetGeometry) -> _Surfaces:
@@ -153,22 +150,21 @@ class _Surfaces:
 
     def __init__(self, geometry: AssetGeometry) -> None:
         self._materials, self._glass = Materials(geometry.images), geometry_glass_class()
-        self._kinds = [material["type"] for material in geometry.materials]
         self._bsdfs = [self._materials.bsdf(material) for material in geometry.materials]
-        self._crossed = list(map(self._top, self._kinds, self._bsdfs))
+        self._crossed = list(map(self._top, geometry.materials, self._bsdfs))
 
-    def bsdf(self, shape: Json) -> mi.BSDF:
+    def bsdf(self, shape: Shape) -> mi.BSDF:
         """The BSDF of a shape of the geometry.
 
         Glass around a medium that scatters is not crossed straight: light that scatters in it
         leaves it by refraction, or is reflected back totally.
         """
-        straight = not scattering_sides(shape)
-        return (self._crossed if straight else self._bsdfs)[shape["material"]]
+        straight = not shape.scatters
+        return (self._crossed if straight else self._bsdfs)[shape.material]
 
-    def emitted(self, radiance: Any) -> Radiance:
+    def emitted(self, radiance: ShapeRadiance) -> Radiance:
         """Radiance of a shape."""
         return self._materials.radiance(radiance)
 
-    def _top(self, kind: str, bsdf: mi.BSDF) -> mi.BSDF:
-        return self._glass(bsdf) if kind == "dielectric" else bsdf
+    def _top(self, material: Material, bsdf: mi.BSDF) -> mi.BSDF:
+        return self._glass(bsdf) if isinstance(material, Dielectric) else bsdf

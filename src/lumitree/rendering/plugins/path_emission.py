@@ -15,7 +15,7 @@ from lumitree.rendering.plugins.path_state import EmitterChoice, Hit, PathState,
 from lumitree.rendering.plugins.proxies import NONE
 from lumitree.rendering.plugins.shadow_rays import visible
 from lumitree.rendering.sampling.samples import mis_weight
-from lumitree.trace.geometric_normals import on_opposite_sides
+from lumitree.trace.spawning import on_opposite_sides
 
 
 def add_emission(scene: PathScene, path: PathState, hit: Hit) -> None:

@@ -16,8 +16,7 @@ from lumitree.rendering.plugins.path_state import (
 )
 from lumitree.rendering.plugins.proxies import MAX_CROSSINGS, NONE
 from lumitree.trace import medium_paths
-from lumitree.trace.geometric_normals import is_opaque, on_opposite_sides
-from lumitree.trace.spawning import spawn
+from lumitree.trace.spawning import is_opaque, on_opposite_sides, spawn
 
 
 def find_vertex(

@@ -39,10 +39,15 @@ _LIGHTS: weakref.WeakKeyDictionary[LightField, dict[tuple[object, ...], EmittedL
 def emitted_light(asset: Asset, *, levels: bool = False) -> EmittedLight:
     """Device copy of what an asset's light field emits, shared by all that use the asset."""
     assert asset.light_field is not None
-    lights, key = _LIGHTS.setdefault(asset.light_field, {}), (str(mi.variant()), asset.gain, levels)
+    lights, key = (
+        _LIGHTS.setdefault(asset.light_field, {}),
+        (str(mi.variant()), asset.light_factors, levels),
+    )
     if key not in lights:
         # Mitsuba creates plugins in parallel: of two copies, the first is kept.
-        light = EmittedLight(asset.light_field, asset.frame.half_extents, asset.gain, levels=levels)
+        light = EmittedLight(
+            asset.light_field, asset.frame.half_extents, asset.light_factors, levels=levels
+        )
         return lights.setdefault(key, light)
     return lights[key]
 

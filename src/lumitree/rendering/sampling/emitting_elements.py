@@ -19,6 +19,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.asset.geometry import MeshArrays, Shape, UnitShape
 from lumitree.core.device import on_device
 from lumitree.lamp.emitting_surfaces import even_places
 
@@ -79,24 +80,24 @@ class EmittingSurface:
 
 
 def emitting_surface(
-    shape: dict[str, Any],
-    mesh: dict[str, NDArray[Any]] | None,
+    shape: Shape,
+    mesh: MeshArrays | None,
     radiance: NDArray[np.float64] | Texture,
     matrix: NDArray[np.float64],
 ) -> EmittingSurface:
     """A surface of a shape of `AssetGeometry`; `matrix` [4, 4] leads to the local frame."""
-    kind = _FLAT if mesh is not None else _KINDS.get(shape["type"], _FLAT)
+    kind = _KINDS.get(shape.type, _FLAT) if isinstance(shape, UnitShape) else _FLAT
     corner: dict[str, Any] = {"normals": None, "texcoords": None}
-    if mesh is None:
-        matrix = matrix @ np.array(shape["to_world"], np.float64)
+    if isinstance(shape, UnitShape):
+        matrix = matrix @ np.array(shape.to_world, np.float64)
     mirrored = mesh is None and np.linalg.det(matrix) < 0
     if kind != _FLAT:
         frame = np.concatenate([matrix[:3, 3:], matrix[:3, :3]], axis=1).T[None]
         if kind == _DISK:
             frame[:, 3] = np.cross(frame[:, 1], frame[:, 2]) * (-1 if mirrored else 1)
-            frame[:, 3] /= np.linalg.norm(frame[:, 3]) * (-1 if shape["flipped"] else 1)
+            frame[:, 3] /= np.linalg.norm(frame[:, 3]) * (-1 if shape.flipped else 1)
         # Mitsuba turns mirrored spheres inside out, and no mirrored cylinders.
-        inwards = shape["flipped"] != (mirrored and kind == _SPHERE)
+        inwards = shape.flipped != (mirrored and kind == _SPHERE)
         return EmittingSurface(frame, kind, inwards, radiance)
     if mesh is None:
         corners = _RECTANGLE @ matrix[:3, :3].T + matrix[:3, 3]
@@ -106,10 +107,10 @@ def emitting_surface(
         corners = (mesh["vertices"] @ matrix[:3, :3].T + matrix[:3, 3])[faces]
         corner = {n: mesh[n][faces].astype(np.float64) if len(mesh[n]) else None for n in corner}
         if corner["normals"] is not None:
-            sign = -1 if shape["flipped"] else 1
+            sign = -1 if shape.flipped else 1
             corner["normals"] = sign * corner["normals"] @ matrix[:3, :3].T
     o, e1, e2 = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    normal = np.cross(e1, e2) * (-1 if shape["flipped"] != mirrored else 1)
+    normal = np.cross(e1, e2) * (-1 if shape.flipped != mirrored else 1)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
     return EmittingSurface(np.stack([o, e1, e2, normal], axis=1), kind, False, radiance, **corner)
 

@@ -84,13 +84,13 @@ def device_light_field(
     """
     assert asset.light_field is not None
     lights = _LIGHTS.setdefault(asset.light_field, {})
-    key = str(mi.variant()), asset.gain, bent, rough
+    key = str(mi.variant()), asset.light_factors, bent, rough
     if key not in lights:
         field = asset.light_field.bent_light if bent else asset.light_field
         light = DeviceLightField(
             field,
             asset.frame.half_extents,
-            asset.gain,
+            asset.light_factors,
             None if bent else emitted_light(asset, levels=not rough),
             _ROUGH if rough else _RECEIVERS,
         )

@@ -57,7 +57,7 @@ def inside_light(asset: Asset, outside: DeviceLightField) -> InsideLight:
     if outside.inside is None:
         field = outside.field()
         assert field is not None
-        outside.inside = InsideLight(field, asset.frame.half_extents, outside, asset.gain)
+        outside.inside = InsideLight(field, asset.frame.half_extents, outside, asset.light_factors)
     return outside.inside
 
 

@@ -1,1 +1,0 @@
-"""Many lamps, baked into one folder with an index page."""

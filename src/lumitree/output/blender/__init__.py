@@ -1,1 +1,0 @@
-"""Lamps for Blender: a script, point lights and meshes."""

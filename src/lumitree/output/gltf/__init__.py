@@ -1,1 +1,0 @@
-"""glTF 2.0: meshes, materials, and lights with IES profiles."""

@@ -1,1 +1,0 @@
-"""Targets of `lumitree export`: one module for each other program; see `registry`."""

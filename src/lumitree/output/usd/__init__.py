@@ -1,1 +1,0 @@
-"""OpenUSD: lights of UsdLux with IES profiles, meshes, and materials."""

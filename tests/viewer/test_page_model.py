@@ -1,0 +1,178 @@
+"""What the page holds of the geometry of an asset."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from lumitree.asset.geometry import ARRAYS, AssetGeometry, Medium, UnitShape
+from lumitree.asset.materials import (
+    Conductor,
+    Dielectric,
+    Diffuse,
+    MetallicRoughness,
+    Principled,
+    RoughConductor,
+    RoughDielectric,
+    ThinDielectric,
+    TwoSided,
+)
+from lumitree.core.frames import LocalFrame
+from support.geometry_assets import IDENTITY, TEXTURE, small_geometry, with_geometry
+
+pytestmark = pytest.mark.usefixtures("mi")
+LINEAR = dataclasses.replace(TEXTURE, image=0, raw=True)
+EMPTY = {name: np.zeros((0, width), kind) for name, (kind, width) in ARRAYS.items()}
+
+
+def surface(material, radiance=None, scale=1.0, **media):
+    from lumitree.viewer.surfaces import page_surface
+
+    shape = UnitShape(type="sphere", to_world=IDENTITY, material=0, radiance=radiance, **media)
+    image = np.ones((2, 2, 1), np.float32)
+    geometry = AssetGeometry(**EMPTY, images=(image,), shapes=(shape,), materials=(material,))
+    return page_surface(geometry, shape, scale)
+
+
+@pytest.mark.parametrize(
+    ("material", "kind"),
+    [
+        (Dielectric(int_ior=1.5, ext_ior=1.0), "GLASS"),
+        (RoughDielectric(int_ior=1.5, ext_ior=1.0, alpha=0.2), "GLASS"),
+        (ThinDielectric(int_ior=1.5, ext_ior=1.0), "THIN_GLASS"),
+        (Conductor(material="Cu"), "METAL"),
+        (RoughConductor(material="Cu"), "METAL"),
+        (RoughConductor(material="Cu", alpha_u=0.1, alpha_v=0.3), "BAKED"),
+        (RoughConductor(material="Cu", alpha=LINEAR), "BAKED"),
+        (Diffuse(reflectance=0.5), "BAKED"),
+        (Principled(metallic=1.0), "BAKED"),
+        (MetallicRoughness(metallic=1.0), "METAL"),
+        (MetallicRoughness(spec_trans=1.0, eta=1.4), "GLASS"),
+        (MetallicRoughness(metallic=0.5), "BAKED"),
+        (MetallicRoughness(metallic=1.0, roughness=LINEAR), "BAKED"),
+    ],
+)
+def test_rays_are_followed_through_glass_and_from_metals(material, kind):
+    found = surface(material)
+    assert found.kind.name == kind
+    assert len(found.numbers()) == 20
+    assert found.has_back == (kind in ("GLASS", "THIN_GLASS"))
+    # What emits ends rays, and so does glass around a medium that scatters.
+    emitting = surface(material, radiance=(1.0, 2, 3))
+    assert (emitting.kind.name, emitting.emits, found.emits) == ("BAKED", True, False)
+    opal = Medium((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
+    assert surface(material, interior=opal).kind.name == "BAKED"
+
+
+def test_numbers_are_those_of_the_material():
+    metal = surface(
+        TwoSided(
+            nested=(
+                RoughConductor(alpha=0.3, material="none", specular_reflectance=(0.2, 0.4, 0.6)),
+            )
+        )
+    )
+    assert (metal.has_back, metal.alpha) == (True, pytest.approx(0.3))
+    np.testing.assert_allclose(metal.reflected, [0.2, 0.4, 0.6], rtol=1e-6)
+    rough = MetallicRoughness(base_color=0.25, roughness=0.6)
+    frosted = surface(dataclasses.replace(rough, spec_trans=1.0, eta=1.4))
+    assert (frosted.index, frosted.alpha, frosted.ggx) == (1.4, pytest.approx(0.36), True)
+    assert frosted.transmitted == (0.5, 0.5, 0.5)
+    assert surface(dataclasses.replace(rough, metallic=1.0)).reflected == (0.25, 0.25, 0.25)
+    glass = surface(
+        Dielectric(int_ior=1.5, ext_ior=1.2, specular_transmittance=0.9),
+        scale=2.0, interior=Medium((0.1, 0.2, 0.3)),
+    )  # fmt: skip
+    assert glass.index == pytest.approx(1.25)
+    assert glass.transmitted == pytest.approx((0.9, 0.9, 0.9))
+    assert glass.between_media
+    # Per local unit, of which each has two units of the file.
+    np.testing.assert_allclose(glass.inside, [0.2, 0.4, 0.6])
+    np.testing.assert_allclose(glass.outside, 0)
+    assert not surface(Dielectric()).between_media
+
+
+def test_codes_are_those_of_the_triangles():
+    from lumitree.exports.surfaces import geometry_meshes, meshed
+    from lumitree.viewer.model import page_model
+
+    asset = with_geometry(small_geometry(), LocalFrame(np.ones(3), np.eye(4)))
+    model = page_model(asset)
+    triangles, surfaces = model.arrays["triangles"], model.arrays["surfaces"]
+    rows = np.reshape(model.description["surfaces"], (-1, 20))
+    count, normal_count, a_stop, zero, place_count = model.description["codes"]
+    positions = 2 * model.arrays["positions"] / (count - 1) - 1
+    assert model.description["triangles"] == len(triangles) == len(surfaces)
+    # Divided triangles have the area of the meshes, on the plane of each.
+    corners = positions[triangles]
+    area = np.linalg.norm(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+    )
+    meshes = geometry_meshes(meshed(asset.geometry), np.eye(4))
+    # Each shape of this geometry has a surface of its own.
+    for shape, mesh in enumerate(meshes):
+        whole = mesh["vertices"][mesh["faces"]].astype(np.float64)
+        expected = np.linalg.norm(
+            np.cross(whole[:, 1] - whole[:, 0], whole[:, 2] - whole[:, 0]), axis=1
+        ).sum()
+        assert area[surfaces == shape].sum() == pytest.approx(expected, rel=1e-3)
+    ends = rows[surfaces, 0] == 0
+    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    assert sides[ends].max() < 1 / 16 + 1e-3
+    light = model.arrays["light"].astype(np.float64).reshape(-1, 2, 3)
+    light[..., ::2] += light[..., 1:2]
+    radiance = np.where(light > 0, 2 ** ((light - zero) / a_stop), 0)
+    radiance *= model.description["max_radiance"]
+    assert radiance.max() == pytest.approx(model.description["max_radiance"])
+    # The second mesh emits, and its metal reflects the sphere, too.
+    assert np.array_equal(rows[:, 1].astype(int) & 8 != 0, [False, True, True])
+    emitting = np.unique(triangles[surfaces == 1])
+    assert (radiance[emitting, 0] > np.array([3, 2, 1]) * 0.95).all()
+    assert not radiance[emitting, 1].any()
+    assert normal_count > 255
+    # The first mesh has an image, of its colour, and the coordinates of its corners on it.
+    assert np.array_equal(rows[:, 7], [1, 0, 0])
+    places = model.arrays["places"][: len(meshes[0]["vertices"])] / place_count
+    np.testing.assert_allclose(places, meshes[0]["texcoords"], atol=1 / place_count)
+    assert not model.arrays["places"][emitting].any()
+
+
+def test_a_pattern_is_the_image_relative_to_its_largest_value():
+    import base64
+    import io
+
+    from PIL import Image
+
+    from lumitree.asset.materials import places_on_image
+    from lumitree.viewer.surfaces import SIDE, Patterns
+
+    geometry = small_geometry()
+    shape = geometry.shapes[0]
+    patterns = Patterns(geometry)
+    assert patterns.of(geometry.shapes[1]) is None
+    number, texture = patterns.of(shape)
+    assert (number, texture.image) == (0, 1)
+    assert patterns.of(shape)[0] == 0
+    # What emits by an image has that as its pattern, what emits alike everywhere has none.
+    assert patterns.of(dataclasses.replace(shape, radiance=LINEAR))[0] == 1
+    assert patterns.of(dataclasses.replace(shape, radiance=(1.0, 1, 1))) is None
+    image = geometry.images[1].astype(np.float64)
+    shown = Image.open(io.BytesIO(base64.b64decode(patterns.encoded()[0])))
+    assert shown.size == (SIDE, SIDE)
+    # In the middles of pixels, which cubic interpolation of sRGB leaves as they are.
+    rows, columns = image.shape[:2]
+    v, u = np.meshgrid(np.arange(rows) + 0.5, np.arange(columns) + 0.5, indexing="ij")
+    places = np.stack([u / columns, v / rows], axis=-1).reshape(-1, 2)
+    from lumitree.core.images import linear_from_srgb
+
+    expected = linear_from_srgb(image / 255).reshape(-1, 3)
+    expected /= expected.max()
+    found = patterns.values(0, places + np.array([1, -2]))
+    np.testing.assert_allclose(found, np.maximum(expected, 0.02), atol=0.03)
+    for wrap, shifted in (("mirror", places * [1, -1] + 2), ("clamp", places)):
+        found = patterns.values(0, shifted, wrap)
+        np.testing.assert_allclose(found, np.maximum(expected, 0.02), atol=0.03)
+    edge = patterns.values(0, np.array([[1.2, 0.3], [-3, 0.3]]), "clamp")
+    np.testing.assert_array_equal(edge, patterns.values(0, np.array([[0.9999, 0.3], [0, 0.3]])))
+    turned = places_on_image([[0, 2, 0, 0.5], [1, 0, 0, 0], *IDENTITY[2:]], places)
+    np.testing.assert_allclose(turned, np.stack([2 * places[:, 1] + 0.5, places[:, 0]], axis=1))
