@@ -56,7 +56,7 @@ def test_damaged_files_are_refused_or_read(tmp_path, mi):
         ("[lamp.hall]", "unknown key 'lamp'"),
         ("[lamps.hall]", "lamps.hall has no asset"),
         ("[lamps.hall]\nasset = 3", "lamps.hall.asset is '3'; expected a text"),
-        ("[lamps.hall]\nasset = 'a.lumitree'\nsice = 1", "unknown key 'lamps.hall.sice'; did you mean 'size'"),
+        ("[lamps.hall]\nasset = 'a.lumitree'\nsice = 1", "'lamps.hall.sice'; did you mean 'size'"),
         ("[lamps.hall]\nasset = 'a.lumitree'\nat = [0, 1]", "hall.at is '[0, 1]'; expected 3 num"),
         ("[lamps.hall]\nasset = 'a.lumitree'\nat = [0, 1, nan]", "expected 3 numbers"),
         ("[lamps.hall]\nasset = 'a.lumitree'\nat = [0, 1, true]", "expected 3 numbers"),

@@ -121,7 +121,7 @@ class AssetPreviewResult(ImageResult):
 @in_turn
 def preview(
     luminaire: "Asset | LuminaireLike",
-    sheet: FilePath | None = None,
+    output: FilePath | None = None,
     *,
     resolution: int = 256,
     spp: int = 64,
@@ -140,7 +140,7 @@ def preview(
         luminaire: what to render: an asset, the path of a `.lumitree` file, of a photometric file
             or of a ray file; or a luminaire in any form that `bake` takes except the folder of a
             dataset.
-        sheet: path of the PNG file to write. Default: no file is written.
+        output: path of the PNG file to write. Default: no file is written.
         resolution: pixels per side of each view, 1 to 16,384.
         spp: paths per pixel, 1 to 1,048,576. It does not apply to an asset without
             geometry, whose pixels have 16 rays.
@@ -157,15 +157,15 @@ def preview(
         LumitreeError: an argument is out of range; the luminaire cannot be read; or the file cannot
             be written.
     """
-    if sheet is not None:
-        check_sheet_output(sheet)
+    if output is not None:
+        check_sheet_output(output)
     check_image_settings(resolution=resolution, spp=spp)
     mi = load_rgb(variant)
     if (asset := asset_of(luminaire)) is not None:
         if bounces:
             raise LumitreeError("an asset has no paths to count the bounces of; leave bounces out")
         with reporting(progress):
-            return _preview_asset(asset, sheet, resolution, spp)
+            return _preview_asset(asset, output, resolution, spp)
     from lumitree.lamp.loading import load_luminaire
     from lumitree.trace.flux import estimate_flux, missed_by_depth
 
@@ -196,7 +196,7 @@ def preview(
         faults=faults,
         bounces=missed,
         shapes=lamp.shapes,
-        sheet=None if sheet is None else Path(sheet),
+        sheet=None if output is None else Path(output),
         png=b"",
         **watch.costs(),
     )
@@ -209,8 +209,8 @@ def preview(
         variant=mi.variant(),
     )
     png = draw_preview(views, lamp.name, _facts(result)).png(settings)
-    if sheet is not None:
-        write_bytes(sheet, png)
+    if output is not None:
+        write_bytes(output, png)
     return dataclasses.replace(result, png=png)
 
 

@@ -103,7 +103,7 @@ POINTS = np.array([[0, 0, 0], [1.2, 0.3, 0.4], [-0.8, 1.5, 0.6], [0.3, 1.75, 0.1
 
 
 def test_a_lamp_is_summed_as_paths_receive_it(mi):
-    result = lumitree.illuminance(room(mi), [placed()], direct_only=True, **at(*POINTS))
+    result = lumitree.illuminance(room(mi), [placed()], direct=True, **at(*POINTS))
     expected, error = received(mi, {}, [placed()], POINTS, [0, 1, 0])
     assert (np.abs(result.direct - expected) < 4 * np.hypot(error, result.direct_error)).all()
     assert (result.direct_error < 0.01 * result.direct).all()
@@ -123,7 +123,7 @@ def test_what_shadows_a_lamp_is_sampled(mi):
     expected, error = received(mi, {"plate": plate}, [placed()], points, [0, 1, 0])
     allowed = 4 * np.hypot(error, result.direct_error) + 1e-9
     assert (np.abs(result.direct - expected) < allowed).all()
-    free = lumitree.illuminance(room(mi), [placed()], direct_only=True, **at(*points)).direct
+    free = lumitree.illuminance(room(mi), [placed()], direct=True, **at(*points)).direct
     assert 0.1 * free[1] < result.direct[1] < 0.9 * free[1]
     assert result.direct[2] == result.direct[3] == 0
 
@@ -136,7 +136,7 @@ def test_a_full_shadow_is_black_where_all_samples_are_equal(mi):
     plate = {"type": "rectangle", "to_world": mi.ScalarTransform4f().translate([0, 20, 0]).scale(9)}
     plate["to_world"] = plate["to_world"] @ mi.ScalarTransform4f().rotate([1, 0, 0], 90)
     points = np.array([[0, 0, 0], [0, 25, 0]])
-    result = lumitree.illuminance(room(mi, plate=plate), [even], direct_only=True, **at(*points))
+    result = lumitree.illuminance(room(mi, plate=plate), [even], direct=True, **at(*points))
     assert result.direct[0] == 0
     assert result.direct[1] > 0
 
@@ -181,7 +181,7 @@ def test_a_floor_has_the_illuminance_that_its_image_shows(mi):
 @pytest.mark.slow
 def test_receivers_inside_the_box_get_its_light(mi):
     points = placed().at + np.array([[0.02, -0.01, 0.03], [0.05, 0.02, -0.03]])
-    result = lumitree.illuminance(room(mi), [placed()], direct_only=True, error=0.01, **at(*points))
+    result = lumitree.illuminance(room(mi), [placed()], direct=True, error=0.01, **at(*points))
     assert (result.direct > 0).any()
     # With something in the box, which shadows nothing.
     speck = {"type": "sphere", "radius": 1e-3, "center": [0.05, 2, 0.05]}
@@ -191,11 +191,9 @@ def test_receivers_inside_the_box_get_its_light(mi):
 
 def test_lumens_are_those_of_the_scene_in_its_unit(mi):
     """A scene in centimetres: the same picture with all lengths a hundred times as large."""
-    one = lumitree.illuminance(room(mi), [placed(lumens=800)], direct_only=True, **at(*POINTS))
+    one = lumitree.illuminance(room(mi), [placed(lumens=800)], direct=True, **at(*POINTS))
     large = dataclasses.replace(placed(lumens=800), at=(0, 200, 0), size=30)
-    other = lumitree.illuminance(
-        room(mi), [large], direct_only=True, unit="cm", **at(*(100 * POINTS))
-    )
+    other = lumitree.illuminance(room(mi), [large], direct=True, unit="cm", **at(*(100 * POINTS)))
     allowed = 4 * np.hypot(one.direct_error, other.direct_error)
     assert (np.abs(other.direct - one.direct) < allowed).all()
     assert (allowed < 0.1 * one.direct.max()).all()
@@ -203,10 +201,8 @@ def test_lumens_are_those_of_the_scene_in_its_unit(mi):
 
 def test_a_bright_lamp_in_a_scene_in_millimetres(mi):
     bright = dataclasses.replace(placed(lumens=1e5), at=(0, 2000, 0), size=300)
-    found = lumitree.illuminance(
-        room(mi), [bright], direct_only=True, unit="mm", **at(*(1000 * POINTS))
-    )
-    expected = lumitree.illuminance(room(mi), [placed(lumens=1e5)], direct_only=True, **at(*POINTS))
+    found = lumitree.illuminance(room(mi), [bright], direct=True, unit="mm", **at(*(1000 * POINTS)))
+    expected = lumitree.illuminance(room(mi), [placed(lumens=1e5)], direct=True, **at(*POINTS))
     allowed = 4 * np.hypot(found.direct_error, expected.direct_error)
     assert (np.abs(found.direct - expected.direct) < allowed).all()
 
@@ -214,7 +210,7 @@ def test_a_bright_lamp_in_a_scene_in_millimetres(mi):
 @pytest.mark.parametrize("length", [1e-30, 1e30])
 def test_normals_may_have_any_length(mi, length):
     one, other = (
-        lumitree.illuminance(room(mi), [placed()], direct_only=True, **at(*POINTS, normal=normal))
+        lumitree.illuminance(room(mi), [placed()], direct=True, **at(*POINTS, normal=normal))
         for normal in ((0, 1, 0), (0, length, 0))
     )
     np.testing.assert_array_equal(other.normal, one.normal)
@@ -265,7 +261,7 @@ def test_surfaces_of_a_scene_are_covered_evenly(mi):
         "bsdf": BLACK,
     }
     result = lumitree.illuminance(
-        scene, surfaces=[lumitree.Surface("desk", 0.08)], error=EVERYTHING, direct_only=True
+        scene, surfaces=[lumitree.Surface("desk", 0.08)], error=EVERYTHING, direct=True
     )
     assert result.areas[0].count == 200
     assert result.normal == pytest.approx(np.tile([0, 1, 0], (200, 1)), abs=1e-6)
@@ -296,7 +292,7 @@ def test_surfaces_of_shapes_without_ids(mi, tmp_path, pattern, heights, count):
     path = tmp_path / "room.xml"
     path.write_text(ROOM)
     surface = lumitree.Surface(pattern, 0.2)
-    result = lumitree.illuminance(path, surfaces=[surface], error=EVERYTHING, direct_only=True)
+    result = lumitree.illuminance(path, surfaces=[surface], error=EVERYTHING, direct=True)
     assert [area.count for area in result.areas] == [count]
     assert set(result.position[:, 2].round(5)) == heights
 
@@ -375,7 +371,7 @@ def test_dark_points_of_a_room_whose_walls_face_outwards_count(mi, direct_only):
         "spot": spot,
     }
     plane = lumitree.Plane((0, 0, 0), extent=(1.6, 0.4), spacing=0.4)
-    result = lumitree.illuminance(scene, planes=[plane], error=EVERYTHING, direct_only=direct_only)
+    result = lumitree.illuminance(scene, planes=[plane], error=EVERYTHING, direct=direct_only)
     assert np.isnan(result.total).tolist() == [False, True, False, False]
     assert np.flatnonzero(result.direct > 0).tolist() == [3]
 
@@ -419,7 +415,7 @@ def test_light_by_rare_paths_is_found_beside_a_lamp(mi):
     turns = np.linspace(0, 2 * np.pi, 100, endpoint=False)
     points = distance * np.stack([np.cos(turns), 0 * turns, np.sin(turns)], axis=1)
     lamps, where = [even(4000, (0, 4, 0))], {"points": points, "normals": -points}
-    steady = lumitree.illuminance(room(mi), lamps, direct_only=True, **where).direct
+    steady = lumitree.illuminance(room(mi), lamps, direct=True, **where).direct
     result = lumitree.illuminance(room(mi, **things), lamps, error=0.1, **where)
     expected = np.pi * LUMENS_PER_WATT * radiance * (radius / distance) ** 2
     found = result.total - steady
@@ -440,10 +436,10 @@ def test_the_shadow_of_one_lamp_among_many_is_found(mi, count):
     }
     x, z = np.random.default_rng(1).uniform(-0.04, 0.04, (2, 200))
     where = at(*np.stack([x, 0 * x, z], axis=1))
-    free = lumitree.illuminance(room(mi), lamps, direct_only=True, **where).direct
+    free = lumitree.illuminance(room(mi), lamps, direct=True, **where).direct
     (middle,) = (lamp for lamp in lamps if lamp.at == (0, 3, 0))
-    shadowed = free - lumitree.illuminance(room(mi), [middle], direct_only=True, **where).direct
-    result = lumitree.illuminance(room(mi, plate=plate), lamps, direct_only=True, **where)
+    shadowed = free - lumitree.illuminance(room(mi), [middle], direct=True, **where).direct
+    result = lumitree.illuminance(room(mi, plate=plate), lamps, direct=True, **where)
     assert (np.abs(result.direct - shadowed) < 5 * result.direct_error).all()
     assert (result.direct_error < 0.021 * result.direct).all()
     assert result.direct.mean() == pytest.approx(shadowed.mean(), rel=0.005)
@@ -460,9 +456,7 @@ def test_errors_of_sums_over_lamps_are_not_small_by_chance(mi):
     where = at(*np.stack([x, 0 * x, z], axis=1))
 
     def found(error, seed):
-        return lumitree.illuminance(
-            room(mi), lamps, error=error, direct_only=True, seed=seed, **where
-        )
+        return lumitree.illuminance(room(mi), lamps, error=error, direct=True, seed=seed, **where)
 
     # Nothing shadows the lamps, so that the sums are all that varies.
     exact = found(0.002, 5)
@@ -482,9 +476,7 @@ def test_errors_of_points_by_a_lamp_are_not_those_of_points_in_its_box(mi):
     inside = np.stack([x, np.full(10, 1 - 0.9 * half), 0 * x], axis=1)
     below = np.stack([x, np.full(10, -1.0), 0 * x], axis=1)
     lamps = [lumitree.Placement(lamp(), at=(0, 1, 0), size=1.0)]
-    result = lumitree.illuminance(
-        room(mi), lamps, direct_only=True, **at(*inside, *below), error=0.2
-    )
+    result = lumitree.illuminance(room(mi), lamps, direct=True, **at(*inside, *below), error=0.2)
     assert (result.direct_error[10:] < 0.07 * result.direct[10:]).all()
     assert (result.direct_error[:10] > 0).all()
 
