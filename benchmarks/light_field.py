@@ -17,7 +17,7 @@ from pathlib import Path
 from benchmarks.common.options import add_seed
 from benchmarks.common.results import Results, notes
 from benchmarks.common.tables import Table
-from lumitree.lamp.builtin.registry import BUILTIN
+from lumitree.lamp.builtin import BUILTIN
 
 # Depth of the grid, and bins of direction a side; the first is the baseline.
 GRIDS = ((1, 64), (3, 32), (3, 64), (4, 32), (4, 64), (5, 32), (5, 64))
@@ -28,7 +28,7 @@ def measure(name: str, options: argparse.Namespace) -> list[dict]:
     """A row for each grid."""
     from lumitree.asset.asset import light_field_asset
     from lumitree.fit.light_field.bake import bake_light_field
-    from lumitree.lamp.loading import load_luminaire
+    from lumitree.lamp.luminaire import load_luminaire
     from lumitree.measure.irradiance import (
         asset_irradiance,
         irradiance_error,

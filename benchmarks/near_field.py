@@ -147,7 +147,7 @@ def reference_planes(
 ) -> tuple[list[Plane], Plane]:
     """The planes of a luminaire, and the fine one below it."""
     from benchmarks.inside_box.crossings import crossing_irradiance
-    from lumitree.lamp.loading import load_luminaire
+    from lumitree.lamp.luminaire import load_luminaire
 
     luminaire = load_luminaire(source)
     rectangles = [*PLANES, FINE]

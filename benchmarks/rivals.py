@@ -55,7 +55,7 @@ _COLUMNS = 4
 
 def methods(name: str, asset: Any, room: Room, options: argparse.Namespace) -> list[Method]:
     """All methods for a lamp; prints which are left out."""
-    from lumitree.lamp.loading import load_luminaire
+    from lumitree.lamp.luminaire import load_luminaire
 
     found = mitsuba_methods(name, asset, room)
     luminaire = load_luminaire(name)
@@ -77,7 +77,7 @@ def methods(name: str, asset: Any, room: Room, options: argparse.Namespace) -> l
 def measure(name: str, options: argparse.Namespace, output: Path) -> dict[str, Any] | None:
     """Render what is missing, and the figures of all methods of a lamp; None without baselines."""
     import lumitree
-    from lumitree.lamp.loading import load_luminaire
+    from lumitree.lamp.luminaire import load_luminaire
 
     folder = options.work / file_name(LuminaireSource(name))
     folder.mkdir(parents=True, exist_ok=True)

@@ -13,7 +13,7 @@ from PIL import Image
 
 import lumitree
 from lumitree.core.files import write_bytes
-from lumitree.lamp.builtin.registry import BUILTIN
+from lumitree.lamp.builtin import BUILTIN
 
 DOCS = Path(__file__).parent
 BAKES = DOCS / "generated" / "lamps"

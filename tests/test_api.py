@@ -183,7 +183,7 @@ def tiny_view(luminaire):
     [
         ({"type": "sphere"}, "no emitter"),
         ({"type": "sphere", "radius": object()}, "not a Mitsuba scene"),
-        ({"type": "constant"}, "holds no shapes"),
+        ({"type": "constant"}, "no shapes"),
         (7, "not of type int"),
     ],
 )
@@ -196,8 +196,8 @@ def test_what_is_no_luminaire_is_refused(mi, luminaire, message):
 def test_scenes_that_are_no_luminaires_are_refused(mi):
     sphere = {"type": "sphere", "emitter": {"type": "area"}}
     for scene, message in (
-        ({"type": "scene"}, "holds no shapes"),
-        ({"type": "scene", "a": {"type": "sphere"}}, "holds no emitter"),
+        ({"type": "scene"}, "no shapes"),
+        ({"type": "scene", "a": {"type": "sphere"}}, "no emitter"),
         ({"type": "scene", "a": sphere, "sky": {"type": "constant"}}, "light without a surface"),
     ):
         with pytest.raises(lumitree.LumitreeError, match=message):

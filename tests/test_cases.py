@@ -35,7 +35,7 @@ LUMENS = {
 
 @pytest.mark.parametrize("name", LUMENS)
 def test_flux_of_bare_emitters(mi, name):
-    from lumitree.lamp.loading import load_luminaire
+    from lumitree.lamp.luminaire import load_luminaire
     from lumitree.trace.light_paths import LampRays
 
     with warnings.catch_warnings():
@@ -61,7 +61,7 @@ def test_a_textured_emitter_beside_a_plain_one_is_a_number(mi, tmp_path):
 
 def test_two_units_and_rated_lumens_are_warned_of(mi):
     import lumitree
-    from lumitree.lamp.loading import load_luminaire
+    from lumitree.lamp.luminaire import load_luminaire
 
     with pytest.warns(LumitreeWarning, match="units"):
         load_luminaire(CASES / "14-blender-units" / "mixed.glb")

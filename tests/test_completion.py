@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from lumitree.cli.completion import BUILTIN_NAMES
-from lumitree.lamp.builtin.registry import BUILTIN
+from lumitree.lamp.builtin import BUILTIN
 
 HEAVY = ("mitsuba", "drjit", "jax", "numpy", "matplotlib", "rich")
 # `os._exit` ends a completion; it is replaced before argcomplete binds it.

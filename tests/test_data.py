@@ -25,7 +25,7 @@ LUMINAIRES = {
 
 @pytest.mark.parametrize("name", LUMINAIRES)
 def test_luminaires_are_captured(mi, tmp_path, name):
-    from lumitree.lamp.loading import load_luminaire
+    from lumitree.lamp.luminaire import load_luminaire
 
     luminaire = load_luminaire(DATA / "luminaires" / name)
     width = 2 * luminaire.frame.half_extents[0] * luminaire.frame.world_from_local[0, 0]
@@ -81,7 +81,7 @@ REPEATED = pytest.mark.filterwarnings("ignore:.* faces repeat others")
 def test_obj_models_are_repaired_as_by_hand(mi, folder):
     """Concave polygons, repeated bulbs and pieces wound inwards all come out right."""
     from lumitree.lamp.importers.topology import count_solids
-    from lumitree.lamp.model_reading import read_model
+    from lumitree.lamp.read_source import read_model
 
     meshes = {part.name: part.mesh for part in read_model(model_source(folder)).parts}
     for name, expected in MODELS[folder][1].items():
@@ -91,7 +91,7 @@ def test_obj_models_are_repaired_as_by_hand(mi, folder):
 @pytest.mark.slow
 @REPEATED
 def test_obj_and_hand_made_scene_give_the_same_light(mi, tmp_path):
-    from lumitree.lamp.loading import load_luminaire
+    from lumitree.lamp.luminaire import load_luminaire
     from lumitree.trace.cameras import capture
 
     hand_made = DATA / "luminaires" / "scopia_chandelier" / "luminaire.xml"
@@ -130,8 +130,8 @@ FILES = {
 def test_models_load_with_their_overrides_and_shine(mi, file):
     from lumitree.core.photometry import flux_from_radiance
     from lumitree.lamp.importers.overrides import emitting_area
-    from lumitree.lamp.loading import load_luminaire
-    from lumitree.lamp.model_reading import read_model
+    from lumitree.lamp.luminaire import load_luminaire
+    from lumitree.lamp.read_source import read_model
     from lumitree.lamp.source import LuminaireSource
     from lumitree.trace.flux import estimate_flux
 

@@ -14,7 +14,7 @@ from lumitree.core.executor import process_pool
 from lumitree.core.images import read_exr
 from lumitree.errors import LumitreeError
 from lumitree.fit.light_field import bake as light_field_bake
-from lumitree.lamp import sent
+from lumitree.lamp import luminaire as sent
 from lumitree.rendering import passes, render_job
 from lumitree.trace import cameras as views
 from support import executors

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from lumitree.lamp.builtin.registry import BUILTIN
+from lumitree.lamp.builtin import BUILTIN
 from lumitree.lamp.source import LuminaireSource
 
 OVERRIDES = Path(__file__).parents[2] / "examples" / "overrides"

@@ -53,7 +53,7 @@ def make_pair(luminaire: Any, asset: Path, rooms: Path, room: str, place: Place)
         rooms: folder of rooms, ROOM/room_night.xml.
         room: of `PLACES`.
     """
-    from lumitree.lamp.loading import load_luminaire
+    from lumitree.lamp.luminaire import load_luminaire
 
     at, height = PLACES[room, place]
     size = load_luminaire(luminaire).size

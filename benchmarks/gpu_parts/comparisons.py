@@ -132,7 +132,7 @@ def tiles(image: NDArray[np.float32]) -> NDArray[np.float64]:
 def _irradiance(sizes: Sizes, assets: Path, seed: int) -> Batches:
     """Irradiance around the lamps and around their assets."""
     from lumitree.asset.file import load
-    from lumitree.lamp.loading import load_luminaire
+    from lumitree.lamp.luminaire import load_luminaire
     from lumitree.measure.irradiance import asset_irradiance, luminaire_irradiance
 
     found = {}

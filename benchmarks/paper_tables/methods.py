@@ -43,7 +43,7 @@ class Method:
     def __init__(
         self, pair: Pair, baked: bool, size: EqualQuality, cache: Path, way: Way | None = None
     ) -> None:
-        from lumitree.lamp.loading import load_luminaire
+        from lumitree.lamp.luminaire import load_luminaire
         from lumitree.lamp.scene_file import SceneFile
         from lumitree.rendering.passes import Budget, render_passes
         from lumitree.rendering.placement import Placement

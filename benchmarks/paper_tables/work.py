@@ -173,7 +173,7 @@ def _parts(lamp: str) -> list[Any]:
 
     No geometry could hold these when the cells were measured.
     """
-    from lumitree.lamp.loading import load_luminaire
+    from lumitree.lamp.luminaire import load_luminaire
 
     return ["light", "field", *([] if load_luminaire(lamp).scatters else ["geometry"])]
 

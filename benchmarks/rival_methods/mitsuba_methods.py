@@ -60,7 +60,7 @@ def mitsuba_methods(source: Any, asset: Any, room: Room) -> list[Method]:
         asset: its bake, with a light field and geometry.
         room: where it hangs.
     """
-    from lumitree.lamp.loading import load_luminaire
+    from lumitree.lamp.luminaire import load_luminaire
 
     luminaire = load_luminaire(source)
     code = {"code": code_digest(), "mitsuba": load_mitsuba().__version__}

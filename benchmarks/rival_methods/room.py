@@ -57,7 +57,7 @@ class Room:
 
     def geometry(self) -> AssetGeometry:
         """Shapes and materials of the room, m, y up."""
-        from lumitree.lamp.loading import load_luminaire
+        from lumitree.lamp.luminaire import load_luminaire
         from lumitree.lamp.stored_geometry import stored_geometry
 
         shapes = {

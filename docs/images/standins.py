@@ -21,7 +21,7 @@ FIELD = 24  # degrees, of the picture's height
 def photograph(name: str, lit: bool) -> np.ndarray:
     """Bytes [H, W, 3] of a lamp: with lights around it, or by its own."""
     mi = load_mitsuba()
-    from lumitree.lamp.loading import load_luminaire
+    from lumitree.lamp.luminaire import load_luminaire
     from lumitree.rendering.scene import place_shapes
 
     luminaire = load_luminaire(name)

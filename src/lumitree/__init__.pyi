@@ -45,9 +45,9 @@ from .fit.result import (
 from .fit.result import (
     TrainResult as TrainResult,
 )
-from .lamp.loading import builtin_luminaires as builtin_luminaires
-from .lamp.loading import load_luminaire as load_luminaire
 from .lamp.luminaire import Luminaire as Luminaire
+from .lamp.luminaire import builtin_luminaires as builtin_luminaires
+from .lamp.luminaire import load_luminaire as load_luminaire
 from .lamp.scene_shapes import SceneShape as SceneShape
 from .lamp.source import LuminaireSource as LuminaireSource
 from .many.bake_many import bake_many as bake_many

@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lumitree.asset.asset import light_field_asset
+from lumitree.asset.asset import EmittedSpectrum, light_field_asset
 from lumitree.asset.file import load, save
 from lumitree.asset.light_field import TracedPaths
-from lumitree.asset.spectrum import EmittedSpectrum
 from lumitree.errors import LumitreeError
 from support.asset_drafts import CHANGES, Draft
 from support.fields import random_asset
@@ -16,7 +15,7 @@ from support.light_fields import assert_equal_fields, random_light_field
 from support.sound_assets import assert_sound
 from support.stored_arrays import change_field_arrays
 
-ROUNDS = 100
+ROUNDS = 40
 TRACED = TracedPaths(1 << 20, (0, 7), 64 * "a", 0.02)
 SPECTRUM = EmittedSpectrum.of(np.random.default_rng(0).random(471), 0.75)
 

@@ -5,8 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from lumitree.asset.light_inside import parts_of_ending
-from lumitree.asset.packed_colours import pack
+from lumitree.asset.light_field import pack, parts_of_ending
 from lumitree.errors import LumitreeError
 from support.light_fields import random_inside, random_light_field
 
@@ -46,7 +45,7 @@ def changed(name, index, value):
         (changed("reach_curves", (0, 0), 1.01), "reach curves are not"),
         (changed("reach_curves", (0, 0), np.nan), "reach curves are not"),
         (changed("reach_curves", (0, 2), 1), "a reach increases"),
-        (changed("reach_curves", (0, slice(None)), 0.5), "does not end at 0"),
+        (changed("reach_curves", (0, slice(None)), 0.5), "last value is not 0"),
         (changed("reach", 0, 4), "a reach curve is named that is not there"),
         (changed("bent_reach", 0, 4), "a reach curve is named that is not there"),
         ({"scale": 0.0}, "scale 0.0"),
@@ -108,7 +107,7 @@ def test_light_inside_of_another_grid_is_refused():
 
 def test_values_of_bins_that_do_not_fill_their_bytes():
     """Four bins a cell, as beside a light field of 4 bins a side."""
-    from lumitree.asset.lit_bins import dense
+    from lumitree.asset.light_field import dense
 
     stored = np.array([[True, False, True, True], [False, False, True, False]])
     values = np.array([[1, 2], [3, 4], [5, 6], [7, 8]])

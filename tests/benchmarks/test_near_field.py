@@ -6,7 +6,7 @@ import pytest
 from benchmarks.inside_box.figures import over_planes, patch_errors
 from benchmarks.inside_box.patches import NORMALS, Rectangle
 from lumitree.core.device import on_device
-from lumitree.lamp.loading import load_luminaire
+from lumitree.lamp.luminaire import load_luminaire
 from lumitree.lamp.meshes import lathe
 from lumitree.lamp.parts import Diffuse, Geometry, Material, Metal, Part
 from lumitree.lamp.scene_writer import write_scene

@@ -179,7 +179,7 @@ def everything():
 
 
 def test_our_importer_reads_the_lamp(tmp_path):
-    from lumitree.lamp.importers.gltf.reader import read_gltf
+    from lumitree.lamp.importers.gltf import read_gltf
     from lumitree.lamp.parts import Glass
 
     asset = with_geometry(small_geometry())
@@ -207,7 +207,7 @@ def test_our_importer_reads_the_lamp(tmp_path):
 
 
 def test_our_importer_reads_every_material(tmp_path):
-    from lumitree.lamp.importers.gltf.reader import read_gltf
+    from lumitree.lamp.importers.gltf import read_gltf
 
     lumitree.export(everything(), tmp_path / "lamp.glb", lights=1)
     with warnings.catch_warnings():

@@ -62,7 +62,7 @@ def test_files_hold_the_flux_and_the_far_field(tmp_path):
 
 def far_field(asset, directions):
     """Luminous intensity, cd, for directions of the file."""
-    from lumitree.asset.packed_colours import unpack
+    from lumitree.asset.light_field import unpack
 
     field = asset.light_field
     colours = unpack(field.intensity) * field.scale * asset.light_factors

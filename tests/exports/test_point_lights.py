@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from lumitree.asset.asset import light_field_asset
-from lumitree.asset.light_field import make_light_field
-from lumitree.asset.packed_colours import unpack
+from lumitree.asset.light_field import make_light_field, unpack
 from lumitree.core.frames import LocalFrame
 from lumitree.core.octahedral import solid_angles
 from lumitree.errors import LumitreeError

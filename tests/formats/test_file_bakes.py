@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import lumitree
-from lumitree.asset.packed_colours import unpack
+from lumitree.asset.light_field import unpack
 from lumitree.core.device import on_device
 from lumitree.core.frames import rotation, similarity
 from lumitree.core.octahedral import bin_of, interpolated, middle_directions

@@ -83,7 +83,7 @@ def files(mi, tmp_path, monkeypatch):
 def starts(asset):
     """Mean place [R², 3] in the lamp's file from which each bin's light starts, and its flux."""
     field = asset.light_field
-    from lumitree.asset.packed_colours import unpack
+    from lumitree.asset.light_field import unpack
     from lumitree.octree.leaves import grid_boxes_inside
 
     flux = field.dense(luminance(unpack(field.intensity))) * field.scale

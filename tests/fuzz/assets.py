@@ -11,14 +11,13 @@ from fuzz import json_trees, words
 from fuzz.reader import MEBIBYTE, Reader
 from fuzz.values import chance, pick
 from lumitree.asset.array_stream import compressed, decompressed
-from lumitree.asset.asset import light_field_asset
-from lumitree.asset.field_bytes import field_layouts
+from lumitree.asset.asset import EmittedSpectrum, light_field_asset
+from lumitree.asset.field_file import field_layouts
 from lumitree.asset.file import load
 from lumitree.asset.geometry_file import _layouts as geometry_layouts
 from lumitree.asset.light_field import TracedPaths
-from lumitree.asset.light_field_bytes import _counts
-from lumitree.asset.light_field_bytes import _layouts as light_layouts
-from lumitree.asset.spectrum import EmittedSpectrum
+from lumitree.asset.light_field_file import _counts
+from lumitree.asset.light_field_file import _layouts as light_layouts
 from lumitree.errors import LumitreeError
 from support.asset_drafts import CHANGES, Draft
 from support.every_material import every_material

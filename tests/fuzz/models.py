@@ -14,7 +14,7 @@ from fuzz import json_trees, words
 from fuzz.reader import MEBIBYTE, Reader
 from fuzz.tables import changed_toml
 from fuzz.values import chance, pick
-from lumitree.lamp.model_reading import read_model
+from lumitree.lamp.read_source import read_model
 from support.damage import damaged
 from support.gltf_models import rich
 from support.obj_files import obj_model

@@ -9,7 +9,7 @@ from lumitree.core.backend import load_mitsuba
 from lumitree.core.directions import pose_towards
 from lumitree.errors import LumitreeError, explained
 from lumitree.formats import light_sources
-from lumitree.lamp.loading import load_luminaire
+from lumitree.lamp.luminaire import load_luminaire
 from lumitree.lamp.stored_geometry import stored_geometry
 from lumitree.rendering.asset_images import shown_images
 from lumitree.rendering.plugins.register import register, shape

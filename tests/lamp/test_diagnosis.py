@@ -7,9 +7,8 @@ import pytest
 import trimesh
 
 from lumitree.core.backend import load_mitsuba
-from lumitree.lamp.diagnosis import diagnose
-from lumitree.lamp.glass_crossings import trace_lines
-from lumitree.lamp.loading import load_luminaire
+from lumitree.lamp.diagnosis import diagnose, trace_lines
+from lumitree.lamp.luminaire import load_luminaire
 from support.lamps import AREA, GLASS, cube, scene, sphere
 from support.variant import VARIANT
 

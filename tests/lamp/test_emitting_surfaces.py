@@ -6,7 +6,7 @@ import pytest
 import lumitree
 from lumitree.core.mitsuba_meshes import make_mesh
 from lumitree.lamp.emitting_surfaces import emitting_surfaces
-from lumitree.lamp.loading import load_luminaire
+from lumitree.lamp.luminaire import load_luminaire
 from support.camera_flux import flux_by_camera_paths
 from support.lamps import AREA, scene, sphere
 

@@ -3,10 +3,7 @@
 import numpy as np
 import pytest
 
-from lumitree.core.backend import load_mitsuba
-from lumitree.lamp.builtin.registry import BUILTIN
-from lumitree.lamp.figures import figures
-from lumitree.lamp.loading import load_luminaire
+from lumitree.asset.materials import VertexColours
 from lumitree.lamp.meshes import Mesh
 from lumitree.lamp.parts import (
     Diffuse,
@@ -14,9 +11,8 @@ from lumitree.lamp.parts import (
     Material,
     Part,
     Texture,
-    VertexColour,
+    figures,
 )
-from support.variant import VARIANT
 
 TRIANGLE = Mesh(
     np.array([[0.0, 0, 0], [1, 0, 0], [0, 2, 0]]),
@@ -33,16 +29,6 @@ def lamp(radiance, surface=None):
     return Geometry((Part("p", TRIANGLE, "m", (np.eye(4), moved)),), (material,))
 
 
-@pytest.mark.parametrize("name", BUILTIN)
-def test_builtin_lamps(name):
-    load_mitsuba(VARIANT)
-    luminaire, found = load_luminaire(name), figures(BUILTIN[name].build())
-    assert found.triangles == luminaire.num_triangles
-    assert found.emitters == luminaire.num_emitters
-    assert found.size == pytest.approx(luminaire.size, rel=1e-4)
-    assert found.has_media == luminaire.has_media
-
-
 def test_copies_count_and_stretch_the_box():
     found = figures(lamp((5.0, 7.0, 1.0)))
     assert (found.triangles, found.emitters, found.emitted_radiance) == (2, 2, 7.0)
@@ -53,7 +39,7 @@ def test_copies_count_and_stretch_the_box():
 @pytest.mark.parametrize(
     ("radiance", "largest"),
     [
-        (VertexColour(), 0.9),
+        (VertexColours(), 0.9),
         (Texture(np.full((2, 2, 3), 40.0, np.float32), encoded=False), 40.0),
         (Texture(np.full((2, 2, 3), 51, np.uint8), encoded=False), 0.2),
         # sRGB 128 is 21.586 % of the light.

@@ -5,10 +5,11 @@ import pytest
 
 from lumitree.core.images import srgb_from_linear
 from lumitree.errors import LumitreeError, LumitreeWarning
-from lumitree.lamp import masked_emission
-from lumitree.lamp.masked_emission import MaskedEmission, opacity_of_faces
+from lumitree.lamp import scene_writer as masked_emission
+from lumitree.lamp.importers.overrides import opacity_of_faces
 from lumitree.lamp.meshes import Mesh
 from lumitree.lamp.parts import Diffuse, Material, Texture
+from lumitree.lamp.scene_writer import MaskedEmission
 
 HALF = np.zeros((64, 64, 1), np.uint8)
 HALF[:, 32:] = 255
@@ -73,7 +74,7 @@ def test_what_several_materials_share_is_made_once(monkeypatch):
     )
     assert first is second
     monkeypatch.setattr(masked_emission, "_MAX_BYTES", int(1.5 * first.nbytes))
-    with pytest.raises(LumitreeError, match="'c': what it emits, times its opacity"):
+    with pytest.raises(LumitreeError, match="brings such"):
         emission.of(Material("c", Diffuse(), (2.0, 1.0, 1.0), mask))
 
 

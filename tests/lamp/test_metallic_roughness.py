@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 import lumitree
+from lumitree.asset.materials import MetallicRoughness
 from lumitree.core.device import on_device
 from lumitree.lamp.meshes import lathe
-from lumitree.lamp.metallic_roughness import register_metallic_roughness
+from lumitree.lamp.scene_file import register_metallic_roughness
 from lumitree.rendering.plugins.geometry_materials import Materials
 from support.gltf_builder import Gltf
 
@@ -37,8 +38,7 @@ def made(mi):
     materials = Materials(())
 
     def bsdf(base_color=COLOUR, **parameters):
-        kind = {"type": "lumitree_metallic_roughness", "base_color": list(base_color)}
-        return materials.bsdf(kind | parameters)
+        return materials.bsdf(MetallicRoughness(base_color=base_color, **parameters))
 
     return bsdf
 

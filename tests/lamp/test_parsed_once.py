@@ -5,7 +5,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from lumitree.lamp.loading import load_luminaire
+from lumitree.lamp.luminaire import load_luminaire
 from lumitree.lamp.stored_geometry import stored_geometry
 from lumitree.rendering.scene import place_shapes
 

@@ -1,7 +1,6 @@
 """Shapes of a scene are chosen by id, by their BSDF's id or by number, and are listed."""
 
 import gc
-import json
 
 import numpy as np
 import pytest
@@ -71,22 +70,6 @@ def test_a_pattern_without_a_match_lists_what_there_is(room, pattern):
         SceneFile(room, [pattern])
     assert ", ".join(LISTED) in str(caught.value)
     assert f"'lumitree preview {room} --keep \"*\"' lists" in str(caught.value)
-
-
-def test_preview_prints_and_returns_them(mi, tmp_path, capsys):
-    from lumitree.cli.app import main
-
-    (tmp_path / "room.xml").write_text(ROOM)
-    sheet, report = tmp_path / "sheet.png", tmp_path / "report.json"
-    options = ["--resolution", "8", "--spp", "1", "--drop", "wall", "--keep", "*"]
-    command = ["preview", str(tmp_path / "room.xml"), "-o", str(sheet), "--json", str(report)]
-    assert main([*command, *options]) == 0
-    lines = [line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines()]
-    assert [line[1] for line in lines if line[0] == "shape"] == [LISTED[i] for i in (0, 2, 3, 4)]
-    shapes = json.loads(report.read_text())["shapes"]
-    assert [shape["number"] for shape in shapes] == [0, 2, 3, 4]
-    assert shapes[1]["bsdf"] == "twosided"
-    assert shapes[0]["emitter"] == "area"
 
 
 @pytest.mark.parametrize("kind", ["sphere", "disk", "cylinder", "rectangle", "cube"])

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from lumitree.asset.materials import VertexColours
 from lumitree.core.backend import load_mitsuba
 from lumitree.lamp.meshes import Mesh
 from lumitree.lamp.parts import (
@@ -17,7 +18,6 @@ from lumitree.lamp.parts import (
     Part,
     Principled,
     Texture,
-    VertexColour,
 )
 from lumitree.lamp.scene_file import SceneFile
 from lumitree.lamp.scene_writer import write_scene
@@ -127,7 +127,7 @@ def test_the_first_row_is_at_v_0_and_values_are_decoded(mi, tmp_path, encoded, v
         Glass(thin=True),
         Metal((0.9, 0.8, 0.7), 0.2, "Au"),
         Principled(thin=True, diffuse_transmission=1.0),
-        Principled(VertexColour(), roughness=Texture(np.full((2, 2, 1), 99, np.uint8), False)),
+        Principled(VertexColours(), roughness=Texture(np.full((2, 2, 1), 99, np.uint8), False)),
     ],
 )
 def test_every_surface_loads_under_every_layer(mi, tmp_path, surface):

@@ -7,8 +7,8 @@ import pytest
 import trimesh
 
 from lumitree.errors import LumitreeError
-from lumitree.lamp.loading import load_luminaire
-from lumitree.lamp.model_reading import read_model
+from lumitree.lamp.luminaire import load_luminaire
+from lumitree.lamp.read_source import read_model
 from lumitree.lamp.source import LuminaireSource
 
 BALL = trimesh.creation.icosphere(subdivisions=3, radius=5)
@@ -110,7 +110,7 @@ def test_objects_and_scenes_that_cannot_be_a_lamp_are_told(mi):
     with pytest.raises(LumitreeError, match="holds objects that are created already"):
         load_luminaire({"type": "scene", "ball": mi.load_dict(ball)})
     beam = {"type": "scene", "face": {"type": "rectangle", "beam": {"type": "directionalarea"}}}
-    with pytest.raises(LumitreeError, match=r"invisible to cameras \(directionalarea\)"):
+    with pytest.raises(LumitreeError, match="DirectionalArea"):
         load_luminaire(mi.load_dict(beam))
     kind = type("Scene", (), {"__module__": "mitsuba.scalar_rgb"})
     with pytest.raises(
@@ -172,7 +172,7 @@ def test_lamp_is_taken_out_of_a_mitsuba_scene(room):
         ({"keep": ("lamp",)}, "--keep 'lamp' matches no shape's id, BSDF's id or number"),
         ({"keep": ("lamp_*",), "drop": ("sky",)}, "--drop 'sky' matches no shape's id"),
         ({"keep": ("lamp_*",), "drop": ("*",)}, "leave nothing"),
-        ({"keep": ("lamp_shade",)}, "holds no emitter"),
+        ({"keep": ("lamp_shade",)}, "no emitter"),
         ({"materials": "a.toml"}, "--materials does not apply"),
     ],
 )  # fmt: skip

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lumitree.asset.materials import Diffuse
-from lumitree.lamp.loading import load_luminaire
+from lumitree.lamp.luminaire import load_luminaire
 from lumitree.lamp.stored_geometry import stored_geometry
 from support.lamps import scene, sphere
 

@@ -13,7 +13,7 @@ from lumitree.asset.materials import Texture
 from lumitree.core.device import on_device
 from lumitree.core.mitsuba_meshes import make_mesh
 from lumitree.errors import LumitreeError
-from lumitree.lamp.loading import load_luminaire
+from lumitree.lamp.luminaire import load_luminaire
 from lumitree.lamp.media import stored_medium
 from lumitree.lamp.stored_geometry import stored_geometry
 from support.geometry_assets import with_geometry

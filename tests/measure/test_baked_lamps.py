@@ -3,7 +3,7 @@
 import pytest
 
 import lumitree
-from lumitree.lamp.loading import load_luminaire
+from lumitree.lamp.luminaire import load_luminaire
 from lumitree.measure.irradiance import evaluate_irradiance
 from support import tiny_bakes
 from support.tiny_bakes import standard

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lumitree.errors import LumitreeWarning
-from lumitree.lamp.loading import load_luminaire
+from lumitree.lamp.luminaire import load_luminaire
 from lumitree.measure.flux_check import check_flux
 from lumitree.measure.irradiance import luminaire_irradiance
 from lumitree.trace.flux import estimate_flux, flux_by_camera_paths

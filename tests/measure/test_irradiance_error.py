@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lumitree.core.photometry import luminance
-from lumitree.lamp.loading import load_luminaire
+from lumitree.lamp.luminaire import load_luminaire
 from lumitree.measure.batches import BATCHES
 from lumitree.measure.irradiance import (
     CUBE_HALF_SIDE,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lumitree.core.images import tonemap
-from lumitree.lamp.loading import load_luminaire
+from lumitree.lamp.luminaire import load_luminaire
 from support.figures import texts, tile_pixels
 from support.lamps import AREA, cube, scene, sphere
 

@@ -3,7 +3,7 @@
 import pytest
 
 import lumitree
-from lumitree.lamp.loading import load_luminaire
+from lumitree.lamp.luminaire import load_luminaire
 from lumitree.measure.view_errors import evaluate_views
 from lumitree.trace.cameras import capture
 from support.lamps import AREA, scene, sphere

@@ -8,7 +8,7 @@ from test_gain import ASSETS, GAIN, lamps, render, scene_with
 
 import lumitree
 from lumitree.asset.asset import light_field_asset
-from lumitree.asset.packed_colours import unpack
+from lumitree.asset.light_field import unpack
 from lumitree.core.photometry import colour_temperature, luminance
 from lumitree.lamp.stored_geometry import stored_geometry
 from lumitree.measure.irradiance import asset_irradiance

@@ -7,8 +7,7 @@ import pytest
 
 import lumitree
 from lumitree.asset.asset import light_field_asset
-from lumitree.asset.light_field import make_light_field
-from lumitree.asset.packed_colours import unpack
+from lumitree.asset.light_field import make_light_field, unpack
 from lumitree.core.device import on_device
 from lumitree.core.frames import LocalFrame, rotation, similarity
 from support.fields import make_asset, uniform_asset

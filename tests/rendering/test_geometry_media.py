@@ -20,7 +20,7 @@ import lumitree
 from lumitree.asset.asset import light_field_asset
 from lumitree.core.frames import rotation, similarity
 from lumitree.fit.light_field.bake import bake_light_field
-from lumitree.lamp.loading import load_luminaire
+from lumitree.lamp.luminaire import load_luminaire
 from lumitree.lamp.stored_geometry import stored_geometry
 from support import tiny_bakes
 from support.lamps import GLASS, cube, scene, sphere

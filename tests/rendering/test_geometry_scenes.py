@@ -11,7 +11,7 @@ from lumitree.asset.file import save
 from lumitree.cli import main
 from lumitree.core.frames import LocalFrame
 from lumitree.errors import LumitreeError, LumitreeWarning
-from lumitree.lamp.loading import load_luminaire
+from lumitree.lamp.luminaire import load_luminaire
 from lumitree.lamp.stored_geometry import stored_geometry
 from support import tiny_bakes
 from support.fields import random_asset

@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 import lumitree
-from lumitree.asset.light_field import make_light_field
-from lumitree.asset.light_inside import LightInside, parts_of_ending
-from lumitree.asset.lit_bins import by_coarse_bin
-from lumitree.asset.packed_colours import pack
+from lumitree.asset.light_field import (
+    LightInside,
+    by_coarse_bin,
+    make_light_field,
+    pack,
+    parts_of_ending,
+)
 from lumitree.core.frames import rotation, similarity
 from lumitree.octree.build import morton
 from lumitree.rendering.scene import place_shapes
@@ -170,7 +173,7 @@ def test_points_and_rays_share_the_light(mi):
     rays = np.array(plain).T[:64]
     fine = np.array(smooth_bin(-plain, 8))[:64]
     leaving = np.zeros((24, 64))
-    from lumitree.asset.packed_colours import unpack
+    from lumitree.asset.light_field import unpack
 
     rows = np.searchsorted(morton(cells), morton(field.cells))
     leaving[rows] = field.scale * field.dense(unpack(field.intensity)[:, 1])

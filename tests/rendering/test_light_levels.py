@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from lumitree.asset.light_field import make_light_field
-from lumitree.asset.packed_colours import unpack
+from lumitree.asset.light_field import make_light_field, unpack
 from lumitree.core.device import on_device
 from lumitree.core.octahedral import solid_angles
 from lumitree.core.photometry import luminance

@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from lumitree.errors import LumitreeError
-from lumitree.lamp.loading import load_luminaire
+from lumitree.lamp.luminaire import load_luminaire
 from lumitree.lamp.media import absorption, any_scatters, media
 from support.fields import uniform_asset
 from support.lamps import GLASS, cube

@@ -5,11 +5,10 @@ import struct
 
 import numpy as np
 
-from lumitree.asset.field_bytes import field_description, field_tensors
+from lumitree.asset.field_file import field_description, field_tensors
 from lumitree.asset.file import _digest
 from lumitree.asset.geometry_file import geometry_tensors
-from lumitree.asset.light_field_bytes import light_field_description, light_field_tensors
-from lumitree.asset.spectrum import spectrum_description, spectrum_tensors
+from lumitree.asset.light_field_file import light_field_description, light_field_tensors
 from support.stored_arrays import change_field_arrays
 
 DEEP = "[" * 100_000 + "]" * 100_000
@@ -52,8 +51,8 @@ class Draft:
             self.tensors |= {name: each.copy() for name, each in light_field_tensors(field).items()}
             self.members.append(("light", json.dumps(light_field_description(field))))
         if asset.spectrum is not None:
-            self.tensors |= {n: each.copy() for n, each in spectrum_tensors(asset.spectrum).items()}
-            self.members.append(("spectrum", json.dumps(spectrum_description(asset.spectrum))))
+            self.tensors["spectrum.power"] = asset.spectrum.power.copy()
+            self.members.append(("spectrum", json.dumps({"share": asset.spectrum.share})))
         if asset.geometry is not None:
             self.tensors |= {n: each.copy() for n, each in geometry_tensors(asset.geometry).items()}
 

@@ -1,9 +1,17 @@
-"""A small glTF model that uses everything."""
+"""A small glTF model that uses everything, and one with a sparse accessor."""
 
 import numpy as np
 
-from support.gltf_builder import Gltf
-from support.gltf_refusals import sparse
+from support.gltf_builder import QUAD, QUAD_FACES, Gltf
+
+
+def sparse(count=1, at=(2,), **change):
+    made = Gltf()
+    where = {"bufferView": made.view(np.array(at, np.uint16).tobytes()), "componentType": 5123}
+    new = {"bufferView": made.view(np.full((len(at), 3), 7, np.float32).tobytes())}
+    index = made.accessor(QUAD, sparse={"count": count, "indices": where, "values": new} | change)
+    made.node(made.primitive(QUAD, QUAD_FACES) | {"attributes": {"POSITION": index}})
+    return made
 
 
 def rich():

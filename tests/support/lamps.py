@@ -14,7 +14,7 @@ def scene(*shapes):
 
 def lamp_of(folder, *shapes):
     """The luminaire of a scene file, which is written."""
-    from lumitree.lamp.loading import load_luminaire
+    from lumitree.lamp.luminaire import load_luminaire
 
     path = folder / "lamp.xml"
     path.write_text(scene(*shapes))

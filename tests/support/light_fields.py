@@ -4,9 +4,15 @@ import dataclasses
 
 import numpy as np
 
-from lumitree.asset.light_field import LightField, TracedPaths, make_light_field
-from lumitree.asset.light_inside import LightInside
-from lumitree.asset.packed_colours import pack, pack_part, unpack
+from lumitree.asset.light_field import (
+    LightField,
+    LightInside,
+    TracedPaths,
+    make_light_field,
+    pack,
+    pack_part,
+    unpack,
+)
 from lumitree.octree.build import morton
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.array_stream import Layout, decompressed
-from lumitree.asset.field_bytes import coefficients_of, densities
+from lumitree.asset.field_file import coefficients_of, densities
 from lumitree.viewer.packing import PackedAsset
 
 

@@ -3,8 +3,7 @@
 import numpy as np
 
 from lumitree.asset.asset import MAX_DENSITY, MAX_RADIANCE, MAX_TREE_DEPTH, MIN_RADIANCE
-from lumitree.asset.light_field import MAX_BINS, MAX_DEPTH, MAX_RESOLUTION
-from lumitree.asset.packed_colours import unpack
+from lumitree.asset.light_field import MAX_BINS, MAX_DEPTH, MAX_RESOLUTION, unpack
 from lumitree.core.frames import MAX_SCALE, MIN_HALF_EXTENT, MIN_SCALE, similarity_scale
 from lumitree.core.harmonics import MAX_L, num_coefficients
 from lumitree.core.reading import MAX_LABEL

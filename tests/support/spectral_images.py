@@ -53,8 +53,7 @@ def write_lamps(folder, baked):
     from dataclasses import replace
 
     import lumitree
-    from lumitree.asset.asset import light_field_asset
-    from lumitree.asset.spectrum import EmittedSpectrum
+    from lumitree.asset.asset import EmittedSpectrum, light_field_asset
     from lumitree.core.spectrum import sampled_spectrum
     from support.fields import random_asset
     from support.lamps import GLASS, scene, sphere

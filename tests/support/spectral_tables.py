@@ -8,8 +8,7 @@ import numpy as np
 
 def facts(variant):
     """Largest errors of the laws of `light_table`, by spectrum."""
-    from lumitree.asset.asset import light_field_asset
-    from lumitree.asset.spectrum import EmittedSpectrum
+    from lumitree.asset.asset import EmittedSpectrum, light_field_asset
     from lumitree.core.backend import load_mitsuba
     from lumitree.core.photometry import (
         FILM_LUMINANCE,

@@ -2,19 +2,19 @@
 
 import json
 
-from lumitree.asset import field_bytes, geometry_file, light_field_bytes
+from lumitree.asset import field_file, geometry_file, light_field_file
 from lumitree.asset.array_stream import compressed, decompressed
 
 
 def change_field_arrays(tensors, asset, change):
-    """Change the arrays of `field.stream`: occupied, ends, density and coefficients.
+    """Change the arrays of `field.stream`: occupied, leaf, density and coefficients.
 
     Args:
         tensors: of the file, by name.
         asset: that the file holds.
         change: takes the arrays by name, and changes them; not their shapes.
     """
-    layouts = field_bytes.field_layouts(len(asset.children), asset.num_leaves, asset.l_max)
+    layouts = field_file.field_layouts(len(asset.children), asset.num_leaves, asset.l_max)
     _change(tensors, "field.stream", layouts, change)
 
 
@@ -24,7 +24,7 @@ def change_light_arrays(tensors, field, change):
     Args:
         field: the light field that the file holds; names of its light inside begin with "inside.".
     """
-    outer, inner = light_field_bytes._layouts(light_field_bytes._counts(field), field.resolution)
+    outer, inner = light_field_file._layouts(light_field_file._counts(field), field.resolution)
     _change(tensors, "light.stream", outer + inner, change)
 
 

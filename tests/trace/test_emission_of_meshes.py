@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import lumitree
-from lumitree.lamp.loading import load_luminaire
+from lumitree.lamp.luminaire import load_luminaire
 from lumitree.trace.light_paths import trace_light
 from support.camera_flux import flux_by_camera_paths
 from support.fields import uniform_asset

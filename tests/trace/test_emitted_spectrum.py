@@ -66,7 +66,7 @@ def test_a_constant_spectrum_is_one_and_a_number_is_none(mi, tmp_path):
 
 @pytest.mark.parametrize("value", ["spectrum", "blackbody"])
 def test_a_dictionary(mi, value):
-    from lumitree.lamp.loading import load_luminaire
+    from lumitree.lamp.luminaire import load_luminaire
 
     radiance = {
         "spectrum": {"type": "spectrum", "value": [(400.0, 1.0), (700.0, 3.0)]},
@@ -134,7 +134,7 @@ def test_negative_values_are_refused(mi, tmp_path):
 
 
 def test_a_scene_of_the_user_has_none(mi, tmp_path):
-    from lumitree.lamp.loading import load_luminaire
+    from lumitree.lamp.luminaire import load_luminaire
 
     loaded = mi.load_string(scene(sphere("a", 1, inside=RED)))
     assert emitted_spectrum(load_luminaire(loaded)) is None

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lumitree.lamp.loading import load_luminaire
+from lumitree.lamp.luminaire import load_luminaire
 from lumitree.rendering.scene import place_shapes
 from support.lamps import AREA, GLASS, cube, scene, sphere
 

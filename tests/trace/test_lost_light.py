@@ -8,7 +8,7 @@ import pytest
 import trimesh
 
 from lumitree.errors import LumitreeError, LumitreeWarning
-from lumitree.lamp.loading import load_luminaire
+from lumitree.lamp.luminaire import load_luminaire
 from lumitree.measure.photometry.far_field import luminaire_source, measure
 from support.lamps import AREA, GLASS, cube, lamp_of, sphere
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lumitree.asset.asset import light_field_asset
-from lumitree.asset.packed_colours import unpack
+from lumitree.asset.light_field import unpack
 from lumitree.core.frames import LocalFrame
 from lumitree.core.photometry import luminance
 from lumitree.octree.wide_nodes import LEAF

@@ -12,14 +12,13 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lumitree.asset.checks import expect, expect_arrays
 from lumitree.asset.geometry import AssetGeometry
 from lumitree.asset.light_field import LightField
-from lumitree.asset.spectrum import EmittedSpectrum
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.frames import LocalFrame
 from lumitree.core.harmonics import MAX_L, num_coefficients
-from lumitree.core.reading import label
+from lumitree.core.photometry import WAVELENGTHS
+from lumitree.core.reading import expect, expect_arrays, label
 from lumitree.core.transmittance import LAWS, Law
 from lumitree.errors import LumitreeError, shown
 from lumitree.octree.build import MAX_TREE_DEPTH
@@ -31,7 +30,57 @@ MAX_DENSITY = 1e15
 Part = Literal["light", "field", "geometry"]
 PARTS: tuple[Part, ...] = get_args(Part)
 UNIT_FACTORS = (1.0, 1.0, 1.0)
+# Fraction of the luminous flux that must have a known spectrum before the lamp gets one.
+_WHOLE = 0.999
 _expect = functools.partial(expect, "asset")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class EmittedSpectrum:
+    """The spectral power distribution of the light of a luminaire's bare emitters.
+
+    It is the sum over those emitters whose spectra are known, weighted by their luminous flux. What
+    glass and surfaces of the luminaire do to the light is in the RGB of the asset alone.
+
+    Attributes:
+        power: float32 [471], power per nm at 360 to 830 nm, 1 nm apart, relative; the largest is 1.
+        share: part of the luminous flux of all bare emitters that these emitters have, above 0 and
+            at most 1.
+
+    Raises:
+        LumitreeError: a member has a wrong type, shape or range.
+    """
+
+    power: NDArray[np.float32]
+    share: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Refuse anything that is no spectrum."""
+        expect_arrays("spectrum", {"power": (self.power, np.float32, WAVELENGTHS.shape)})
+        expect(
+            "spectrum",
+            ((self.power >= 0) & (self.power <= 1)).all() and self.power.max() == 1,
+            "power is not 0 to 1 with 1 as the largest",
+        )
+        expect(
+            "spectrum",
+            type(self.share) is float and 0 < self.share <= 1,
+            f"share {self.share!r}, expected a number above 0, at most 1",
+        )
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether it includes all emitters, but for a thousandth of their luminous flux."""
+        return self.share >= _WHOLE
+
+    @staticmethod
+    def of(power: NDArray[np.float64], share: float = 1.0) -> "EmittedSpectrum | None":
+        """The spectrum of power per nm [471] in any unit; None if all of it is 0.
+
+        `share` is as in `EmittedSpectrum`.
+        """
+        largest = power.max()
+        return EmittedSpectrum((power / largest).astype(np.float32), share) if largest > 0 else None
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -12,9 +12,8 @@ import safetensors
 import safetensors.numpy
 from numpy.typing import NDArray
 
-from lumitree.asset.asset import Asset
-from lumitree.asset.field_bytes import (
-    FIELD_TENSORS,
+from lumitree.asset.asset import Asset, EmittedSpectrum
+from lumitree.asset.field_file import (
     build_field,
     field_description,
     field_tensors,
@@ -26,17 +25,10 @@ from lumitree.asset.geometry_file import (
     build_geometry,
     geometry_tensors,
 )
-from lumitree.asset.light_field_bytes import (
-    LIGHT_FIELD_TENSORS,
+from lumitree.asset.light_field_file import (
     build_light_field,
     light_field_description,
     light_field_tensors,
-)
-from lumitree.asset.spectrum import (
-    SPECTRUM_TENSORS,
-    build_spectrum,
-    spectrum_description,
-    spectrum_tensors,
 )
 from lumitree.core.file_kinds import ASSET, what_it_is
 from lumitree.core.files import atomic_path
@@ -102,8 +94,8 @@ def save(asset: Asset, path: str | os.PathLike[str], *, fingerprint: str = "") -
     if asset.geometry is not None:
         tensors |= geometry_tensors(asset.geometry)
     if asset.spectrum is not None:
-        tensors |= spectrum_tensors(asset.spectrum)
-        description["spectrum"] = spectrum_description(asset.spectrum)
+        tensors["spectrum.power"] = asset.spectrum.power
+        description["spectrum"] = {"share": asset.spectrum.share}
     if fingerprint:
         description["fingerprint"] = fingerprint
     text = json.dumps(description, sort_keys=True, separators=(",", ":"), allow_nan=False)
@@ -116,7 +108,7 @@ def save(asset: Asset, path: str | os.PathLike[str], *, fingerprint: str = "") -
 
 
 def as_stored(asset: Asset) -> Asset:
-    """The asset that `load` gives back of a file of it: its field is rounded (`field_bytes`)."""
+    """The asset that `load` gives back of a file of it: its field is rounded (`field_file`)."""
     return dataclasses.replace(asset, **rounded_field(asset))
 
 
@@ -163,7 +155,15 @@ def fingerprint_of(path: str | os.PathLike[str]) -> str:
 def _build(description: Record, tensors: dict[str, NDArray[Any]]) -> Asset:
     description.expect_keys(*_KEYS, optional=("light", "spectrum", "fingerprint"))
     description.choice("activation", (ACTIVATION,))
-    has_light_field, has_geometry = description.has("light"), GEOMETRY_SHAPES in tensors
+    light, geometry, spectrum = None, None, None
+    if description.has("light"):
+        light = build_light_field(description.record("light"), tensors)
+    if GEOMETRY_SHAPES in tensors:
+        geometry = build_geometry(tensors)
+    if description.has("spectrum"):
+        share = description.record("spectrum")
+        share.expect_keys("share")
+        spectrum = EmittedSpectrum(tensors["spectrum.power"], share.number("share"))
     red, green, blue = description.array("gain", 3).tolist()
     l_max = description.integer("l_max")
     return Asset(
@@ -174,14 +174,10 @@ def _build(description: Record, tensors: dict[str, NDArray[Any]]) -> Asset:
         max_radiance=description.number("max_radiance"),
         frame=LocalFrame.of_record(description),
         luminaire=description.label("luminaire"),
-        light_field=build_light_field(description.record("light"), tensors)
-        if has_light_field
-        else None,
-        geometry=build_geometry(tensors) if has_geometry else None,
+        light_field=light,
+        geometry=geometry,
         light_factors=(red, green, blue),
-        spectrum=build_spectrum(description.record("spectrum"), tensors)
-        if description.has("spectrum")
-        else None,
+        spectrum=spectrum,
     )
 
 
@@ -216,13 +212,13 @@ def _read_header(content: bytes) -> tuple[str, str, Record]:
     # Checked first, because files of other versions may have other members and tensors.
     description.choice("format", (FORMAT,))
     description.expect_version(VERSION)
-    tensors = dict(FIELD_TENSORS)
+    tensors = {"field.stream": "U8"}
     if description.has("light"):
-        tensors |= LIGHT_FIELD_TENSORS
+        tensors["light.stream"] = "U8"
     if header.has(GEOMETRY_SHAPES):
         tensors |= GEOMETRY_TENSORS
     if description.has("spectrum"):
-        tensors |= SPECTRUM_TENSORS
+        tensors["spectrum.power"] = "F32"
     header.expect_keys("__metadata__", *tensors)
     for name, dtype in tensors.items():
         tensor = header.record(name)

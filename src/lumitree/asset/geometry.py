@@ -15,7 +15,6 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.checks import expect, expect_arrays, naming, require
 from lumitree.asset.materials import (
     Image,
     ImageFacts,
@@ -28,6 +27,7 @@ from lumitree.asset.materials import (
 )
 from lumitree.core.frames import LocalFrame, similarity
 from lumitree.core.photometry import RGB
+from lumitree.core.reading import expect, expect_arrays, naming, require
 from lumitree.errors import LumitreeError, shown
 
 _WHAT = "geometry"

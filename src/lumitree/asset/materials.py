@@ -78,13 +78,6 @@ class Texture:
     wrap_mode: Literal["repeat", "mirror", "clamp"]
     to_uv: Matrix
 
-    def check(self, num_images: int) -> None:
-        """Refuse an index without an image, and a transform beyond the limit."""
-        if not 0 <= self.image < num_images:
-            raise LumitreeError(f"a texture has no image {self.image}")
-        if not np.abs(np.array(self.to_uv)).max() <= _MAX_TRANSFORM:
-            raise LumitreeError(f"to_uv of a texture exceeds {_MAX_TRANSFORM:g}")
-
 
 @dataclasses.dataclass(frozen=True)
 class VertexColours:
@@ -153,8 +146,9 @@ class Kind:
             forms.append("the colours of the vertices")
         return " or ".join(forms)
 
-    def check(self, value: object, images: Sequence[ImageFacts]) -> None:
-        """Refuse a value that is none of these."""
+    def check(self, what: str, value: object, images: Sequence[ImageFacts]) -> None:
+        """Refuse a value that is none of these; `what` names it in the message."""
+        found = shown(value, 60)
         match value:
             case bool():
                 accepted = self.boolean
@@ -167,25 +161,24 @@ class Kind:
                     type(each) in (int, float) and 0 <= each <= self.colour for each in value
                 )
             case VertexColours():
-                accepted = self.vertex_colours
+                accepted, found = self.vertex_colours, "the colours of the vertices"
+            case Texture(image=index) if not 0 <= index < len(images):
+                accepted, found = False, f"a texture of image {index} of {len(images)}"
+            case Texture() if not np.abs(np.array(value.to_uv)).max() <= _MAX_TRANSFORM:
+                accepted, found = False, f"a texture whose to_uv exceeds {_MAX_TRANSFORM:g}"
             case Texture():
-                return self._check_texture(value, images)
+                image = images[value.image]
+                accepted = (
+                    self.image is not None
+                    and image.channels in self.channels
+                    and _within(image.values, self.image)
+                )
+                least, largest = image.values
+                found = f"an image of {image.channels} channels, {least:.4g} to {largest:.4g}"
             case _:
                 accepted = False
         if not accepted:
-            found = "the colours of the vertices" if value == VertexColours() else shown(value, 60)
-            raise LumitreeError(f"{found}; expected {self}")
-
-    def _check_texture(self, texture: Texture, images: Sequence[ImageFacts]) -> None:
-        texture.check(len(images))
-        image = images[texture.image]
-        if self.image is None or image.channels not in self.channels:
-            raise LumitreeError(f"an image of {image.channels} channels; expected {self}")
-        if not _within(image.values, self.image):
-            least, largest = image.values
-            raise LumitreeError(
-                f"an image of values from {least:.4g} to {largest:.4g}; expected {self}"
-            )
+            raise LumitreeError(f"{what} is {found}; expected {self}")
 
 
 _FULL: Range = (0.0, _MAX_COLOUR)
@@ -214,17 +207,28 @@ _RADIANCE = Kind(colour=_MAX_RADIANCE, range=(0, _MAX_RADIANCE), image=(0, _MAX_
 Parameter = bool | float | str | RGB | Texture | VertexColours
 
 
+PLUGINS: "dict[str, type[Material]]" = {}
+
+
+@typing.dataclass_transform(frozen_default=True, kw_only_default=True)
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Material:
     """A BSDF of Mitsuba: `plugin` is its name, and other attributes are its parameters.
+
+    Its subclasses are frozen dataclasses; those with a plugin are in `PLUGINS`.
 
     Attributes:
         nested: the materials that it modifies, `num_nested` of them.
     """
 
     plugin: ClassVar[str]
-    num_nested: ClassVar[tuple[int, ...]] = (0,)
+    num_nested: ClassVar[tuple[int, ...]]
     nested: tuple["Material", ...] = ()
+
+    def __init_subclass__(cls, plugin: str = "", num_nested: tuple[int, ...] = (0,)) -> None:
+        dataclasses.dataclass(frozen=True, kw_only=True)(cls)
+        if plugin:
+            cls.plugin, cls.num_nested, PLUGINS[plugin] = plugin, num_nested, cls
 
     @property
     def parameters(self) -> dict[str, Parameter]:
@@ -233,15 +237,12 @@ class Material:
         return {name: value for name, value in found.items() if value is not None}
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Diffuse(Material):
+class Diffuse(Material, plugin="diffuse"):
     """A Lambertian reflector."""
 
-    plugin: ClassVar[str] = "diffuse"
     reflectance: Colour | None = None
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
 class Glass(Material):
     """Parameters that all glass has; its normals point to the side of `ext_ior`."""
 
@@ -251,7 +252,6 @@ class Glass(Material):
     specular_transmittance: Colour | None = None
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
 class Microfacets(Material):
     """Parameters of rough glass and metal: `alpha`, or one along u and one along v."""
 
@@ -262,28 +262,18 @@ class Microfacets(Material):
     alpha_v: Alpha | None = None
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Dielectric(Glass):
+class Dielectric(Glass, plugin="dielectric"):
     """Clear glass."""
 
-    plugin: ClassVar[str] = "dielectric"
 
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class ThinDielectric(Glass):
+class ThinDielectric(Glass, plugin="thindielectric"):
     """A clear sheet, with the reflections between its two sides."""
 
-    plugin: ClassVar[str] = "thindielectric"
 
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class RoughDielectric(Glass, Microfacets):
+class RoughDielectric(Glass, Microfacets, plugin="roughdielectric"):
     """Frosted glass."""
 
-    plugin: ClassVar[str] = "roughdielectric"
 
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
 class Metal(Material):
     """Parameters that all metals have: a measured `material`, or `eta` and `k`."""
 
@@ -293,25 +283,17 @@ class Metal(Material):
     specular_reflectance: Colour | None = None
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Conductor(Metal):
+class Conductor(Metal, plugin="conductor"):
     """A smooth metal."""
 
-    plugin: ClassVar[str] = "conductor"
 
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class RoughConductor(Metal, Microfacets):
+class RoughConductor(Metal, Microfacets, plugin="roughconductor"):
     """A rough metal."""
 
-    plugin: ClassVar[str] = "roughconductor"
 
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Plastic(Material):
+class Plastic(Material, plugin="plastic"):
     """A diffuse base below a smooth dielectric."""
 
-    plugin: ClassVar[str] = "plastic"
     int_ior: Index | None = None
     ext_ior: Index | None = None
     diffuse_reflectance: PlasticColour | None = None
@@ -319,17 +301,14 @@ class Plastic(Material):
     nonlinear: Flag | None = None
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class RoughPlastic(Plastic):
+class RoughPlastic(Plastic, plugin="roughplastic"):
     """A diffuse base below a rough dielectric."""
 
-    plugin: ClassVar[str] = "roughplastic"
     distribution: Distribution | None = None
     sample_visible: Flag | None = None
     alpha: Annotated[float, Kind(range=(1e-4, 2))] | None = None
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
 class DisneyMaterial(Material):
     """Parameters that `principled` and `principledthin` share (Burley 2012)."""
 
@@ -344,11 +323,9 @@ class DisneyMaterial(Material):
     flatness: Number | None = None
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Principled(DisneyMaterial):
+class Principled(DisneyMaterial, plugin="principled"):
     """Disney's BSDF of a solid."""
 
-    plugin: ClassVar[str] = "principled"
     diffuse_reflectance_sampling_rate: Annotated[float, Kind(range=(0, 100))] | None = None
     metallic: Number | None = None
     clearcoat: Number | None = None
@@ -356,20 +333,16 @@ class Principled(DisneyMaterial):
     specular: Annotated[float, Kind(range=(1e-6, 1))] | None = None
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class PrincipledThin(DisneyMaterial):
+class PrincipledThin(DisneyMaterial, plugin="principledthin"):
     """Disney's BSDF of a sheet."""
 
-    plugin: ClassVar[str] = "principledthin"
     diff_trans: DiffuseTransmission | None = None
     diffuse_reflectance_sampling_rate: Annotated[float, Kind(range=(1e-3, 100))] | None = None
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class MetallicRoughness(Material):
+class MetallicRoughness(Material, plugin="lumitree_metallic_roughness"):
     """The material of glTF 2.0, see `lamp.metallic_roughness`."""
 
-    plugin: ClassVar[str] = "lumitree_metallic_roughness"
     base_color: Colour | None = None
     eta: Eta | None = None
     thin: Flag | None = None
@@ -384,59 +357,33 @@ class MetallicRoughness(Material):
     sheen: Number | None = None
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Mask(Material):
+class Mask(Material, plugin="mask", num_nested=(1,)):
     """A material that is there with a probability of `opacity`; light crosses the rest."""
 
-    plugin: ClassVar[str] = "mask"
-    num_nested: ClassVar[tuple[int, ...]] = (1,)
     opacity: Number | None = None
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class TwoSided(Material):
+class TwoSided(Material, plugin="twosided", num_nested=(1, 2)):
     """A material on both sides of a surface, or one on each."""
 
-    plugin: ClassVar[str] = "twosided"
-    num_nested: ClassVar[tuple[int, ...]] = (1, 2)
 
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class NormalMap(Material):
+class NormalMap(Material, plugin="normalmap", num_nested=(1,)):
     """A material with shading normals from an image."""
 
-    plugin: ClassVar[str] = "normalmap"
-    num_nested: ClassVar[tuple[int, ...]] = (1,)
     normalmap: Annotated[Texture, Kind(image=_SIGNED, channels=(3, 4))]
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class BumpMap(Material):
+class BumpMap(Material, plugin="bumpmap", num_nested=(1,)):
     """A material with shading normals from an image of heights."""
 
-    plugin: ClassVar[str] = "bumpmap"
-    num_nested: ClassVar[tuple[int, ...]] = (1,)
     bumpmap: Annotated[Texture, Kind(image=_SIGNED)]
     scale: Annotated[float, Kind(range=(-1e4, 1e4))] | None = None
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Blend(Material):
+class Blend(Material, plugin="blendbsdf", num_nested=(2,)):
     """A mixture of two materials; `weight` is the part of the second."""
 
-    plugin: ClassVar[str] = "blendbsdf"
-    num_nested: ClassVar[tuple[int, ...]] = (2,)
     weight: Number
-
-
-PLUGINS: dict[str, type[Material]] = {
-    each.plugin: each
-    for each in (
-        *(Diffuse, Dielectric, ThinDielectric, RoughDielectric, Conductor, RoughConductor),
-        *(Plastic, RoughPlastic, Principled, PrincipledThin, MetallicRoughness),
-        *(Mask, TwoSided, NormalMap, BumpMap, Blend),
-    )
-}
 
 
 @functools.cache
@@ -492,13 +439,13 @@ def check_material(material: Material, images: Sequence[ImageFacts], nesting: in
         )
     kinds = parameter_kinds(type(material))
     for key, value in material.parameters.items():
-        _check_value(f"{key} of {name}", kinds[key], value, images)
+        kinds[key].check(f"{key} of {name}", value, images)
     _check_combinations(material, images)
 
 
 def check_radiance(radiance: Radiance, images: Sequence[ImageFacts]) -> None:
     """Refuse what is not the radiance of an emitter, W/(m² sr): a colour or a texture."""
-    _check_value("radiance", _RADIANCE, radiance, images)
+    _RADIANCE.check("radiance", radiance, images)
 
 
 def is_specular(material: Material) -> bool:
@@ -601,60 +548,44 @@ def _within(values: Range, expected: Range) -> bool:
     return low <= values[0] and values[1] <= high * (1 + _ROUNDING)
 
 
-def _check_value(what: str, kind: Kind, value: object, images: Sequence[ImageFacts]) -> None:
-    try:
-        kind.check(value, images)
-    except LumitreeError as error:
-        raise LumitreeError(f"{what} is {error}") from None
-
-
 def _check_combinations(material: Material, images: Sequence[ImageFacts]) -> None:
     """Refuse parameters with which together Mitsuba does not make the BSDF, or gives NaN."""
-    match material:
-        case Microfacets():
-            _check_one_of(material, "alpha", "alpha_u", "alpha_v")
-            if (material.alpha_u is None) != (material.alpha_v is None):
-                raise LumitreeError(
-                    f"{material.plugin} has one of alpha_u and alpha_v; expected both or none"
-                )
-        case Principled():
-            _check_one_of(material, "eta", "specular")
-        case _:
-            pass
+    name, given = material.plugin, material.parameters.keys()
+    exclusive = [("alpha", "alpha_u"), ("alpha", "alpha_v")]
+    if isinstance(material, Principled):
+        exclusive.append(("eta", "specular"))
+    if isinstance(material, Metal) and material.material != "none":
+        exclusive += [("material", "eta"), ("material", "k")]
+    for first, second in exclusive:
+        if {first, second} <= given:
+            raise LumitreeError(f"{name} has {first} and {second}; expected one of them")
+    if ("alpha_u" in given) != ("alpha_v" in given):
+        raise LumitreeError(f"{name} has one of alpha_u and alpha_v; expected both or none")
     match material:
         case RoughDielectric():
             inside, outside = _indices(material, "bk7")
             if inside == outside:
-                _refuse_indices(material, "expected int_ior != ext_ior")
+                raise LumitreeError(f"{name} has an int_ior equal to its ext_ior")
         case Plastic():
             inside, outside = _indices(material, "polypropylene")
             # Mitsuba's fit of the diffuse reflectance inside is above 1 from a ratio of 3.8.
             densest = math.inf if isinstance(material, RoughPlastic) else 3.0
             if not outside < inside <= densest * outside:
-                most = "" if densest == math.inf else f", at most {densest:g} times it"
-                _refuse_indices(material, f"expected int_ior > ext_ior{most}")
-            diffuse, specular = material.diffuse_reflectance, material.specular_reflectance
-            brightest = (_bounds(diffuse, 0.5, images)[1], _bounds(specular, 1.0, images)[1])
-            if np.max(brightest) < _BLACK:
-                _refuse_black(material, "diffuse_reflectance", "specular_reflectance")
-        case Metal():
-            if material.material in (None, "none"):
-                darkest = (
-                    _bounds(material.eta, 0.0, images)[0],
-                    _bounds(material.k, 1.0, images)[0],
+                raise LumitreeError(
+                    f"{name} has int_ior {inside:g} and ext_ior {outside:g}; expected int_ior "
+                    f"above ext_ior, and at most {densest:g} times it"
                 )
-                if np.maximum(*darkest).min() < _BLACK:
-                    _refuse_black(material, "eta", "k")
-            else:
-                _check_one_of(material, "material", "eta", "k")
+            _, diffuse = _bounds(material.diffuse_reflectance, 0.5, images)
+            _, specular = _bounds(material.specular_reflectance, 1.0, images)
+            if max(diffuse.max(), specular.max()) < _BLACK:
+                raise LumitreeError(f"{name} reflects nothing; expected a reflectance above 0")
+        case Metal() if material.material in (None, "none"):
+            eta, _ = _bounds(material.eta, 0.0, images)
+            k, _ = _bounds(material.k, 1.0, images)
+            if np.maximum(eta, k).min() < _BLACK:
+                raise LumitreeError(f"{name} has eta and k of 0; expected one of them above 0")
         case _:
             pass
-
-
-def _check_one_of(material: Material, first: str, *others: str) -> None:
-    for other in others:
-        if {first, other} <= material.parameters.keys():
-            raise LumitreeError(f"{material.plugin} has {first} and {other}; expected one of them")
 
 
 def _indices(material: RoughDielectric | Plastic, inside: str) -> tuple[np.float32, np.float32]:
@@ -664,24 +595,16 @@ def _indices(material: RoughDielectric | Plastic, inside: str) -> tuple[np.float
     return first, second
 
 
-def _refuse_indices(material: RoughDielectric | Plastic, expected: str) -> typing.NoReturn:
-    found = f"int_ior {material.int_ior or 'of default'} and ext_ior {material.ext_ior or 'air'}"
-    raise LumitreeError(f"{material.plugin} has {found}; {expected}")
-
-
-def _refuse_black(material: Material, first: str, second: str) -> typing.NoReturn:
-    raise LumitreeError(
-        f"{material.plugin} has {first} and {second} of 0; expected one of them above {_BLACK:g}"
-    )
-
-
 def _bounds(
     value: Parameter | None, default: float, images: Sequence[ImageFacts]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Least and largest value of each channel [3] of a parameter."""
-    if isinstance(value, Texture | VertexColours):
-        least, largest = _UNIT if isinstance(value, VertexColours) else images[value.image].values
-        return np.full(3, least), np.full(3, largest)
-    given = default if value is None else value
-    channels = np.broadcast_to(np.asarray(given, np.float64), 3)
-    return channels, channels
+    match value:
+        case Texture():
+            bounds = images[value.image].values
+        case VertexColours():
+            bounds = _UNIT
+        case _:
+            bounds = (default, default) if value is None else (value, value)
+    least, largest = (np.broadcast_to(np.asarray(each, np.float64), 3) for each in bounds)
+    return least, largest

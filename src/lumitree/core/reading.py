@@ -3,6 +3,7 @@
 Whatever a file holds, an error message is one line of printable characters.
 """
 
+import contextlib
 import json
 import os
 import stat
@@ -10,7 +11,7 @@ import struct
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
@@ -284,3 +285,35 @@ def _shown(value: Any) -> str:
     if isinstance(value, list):
         return f"a list of {len(value)}"
     return shown(json.dumps(value), _SHOWN)
+
+
+def require(condition: Any, message: str) -> None:
+    """Raise a `LumitreeError` with a message if the condition is false."""
+    if not condition:
+        raise LumitreeError(message)
+
+
+def expect(what: str, condition: Any, message: str) -> None:
+    """Refuse `what` with a message if the condition is false."""
+    require(condition, f"invalid {what}: {message}")
+
+
+@contextlib.contextmanager
+def naming(name: Callable[[], str]) -> Iterator[None]:
+    """Context in which messages of a `LumitreeError` begin with a name, which is made on demand."""
+    try:
+        yield
+    except LumitreeError as error:
+        raise LumitreeError(f"{name()}: {error}") from None
+
+
+def expect_arrays(
+    what: str, arrays: dict[str, tuple[NDArray[Any], type[np.generic], tuple[int, ...]]]
+) -> None:
+    """Refuse `what` if one of its arrays has not the type and shape that are listed with it."""
+    for name, (array, dtype, shape) in arrays.items():
+        expect(
+            what,
+            array.dtype == dtype and array.shape == shape,
+            f"{name} is {array.dtype} {array.shape}, expected {np.dtype(dtype)} {shape}",
+        )

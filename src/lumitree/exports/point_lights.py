@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
-from lumitree.asset.light_field import LightField
-from lumitree.asset.packed_colours import unpack
+from lumitree.asset.light_field import LightField, unpack
 from lumitree.core.octahedral import solid_angles
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.errors import LumitreeError

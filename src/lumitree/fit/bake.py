@@ -31,8 +31,7 @@ from lumitree.rendering.asset_cache import open_asset
 
 if TYPE_CHECKING:
     from lumitree.fit.octree.bake import OctreeFitResult
-    from lumitree.lamp.luminaire import Luminaire, LuminaireLike
-    from lumitree.lamp.sent import LampWorkers
+    from lumitree.lamp.luminaire import LampWorkers, Luminaire, LuminaireLike
 
 _KINDS: dict[Kind, str] = {"photometric": "a photometric file", "dataset": "a dataset"}
 
@@ -161,8 +160,7 @@ def bake(
                 return _bake_views(source, output, config, folder, work)
         if config.method == "network":
             return bake_network(source, output, config, folder, work, variant, executor, progress)
-        from lumitree.lamp.loading import load_luminaire
-        from lumitree.lamp.sent import lamp_workers
+        from lumitree.lamp.luminaire import lamp_workers, load_luminaire
 
         with reporting(progress):
             lamp = load_luminaire(source)
@@ -327,7 +325,7 @@ def refine(
     check_irradiance_paths(irradiance_paths)
     load_rgb(variant)
     from lumitree.fit.octree import bake as octree_fit
-    from lumitree.lamp.loading import load_luminaire
+    from lumitree.lamp.luminaire import load_luminaire
 
     rough = open_asset(asset)
     if not rough.num_leaves:

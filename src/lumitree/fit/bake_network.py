@@ -41,8 +41,7 @@ from lumitree.octree.build import check_tree_depth
 
 if TYPE_CHECKING:
     from lumitree.asset.light_field import LightField
-    from lumitree.lamp.luminaire import Luminaire, LuminaireLike
-    from lumitree.lamp.sent import LampWorkers
+    from lumitree.lamp.luminaire import LampWorkers, Luminaire, LuminaireLike
 
 
 def bake_network(
@@ -62,8 +61,7 @@ def bake_network(
     """
     check_network()
     from lumitree.fit.network.train import RUN_FILES, has_checkpoint
-    from lumitree.lamp.loading import load_luminaire
-    from lumitree.lamp.sent import lamp_workers
+    from lumitree.lamp.luminaire import lamp_workers, load_luminaire
 
     watch, light_field, network = Stopwatch(), None, config.network
     with reporting(progress):
@@ -147,8 +145,7 @@ def capture(
     check_writable(Path(output) / MANIFEST)
     check_executor(executor)
     load_rgb(variant)
-    from lumitree.lamp.loading import load_luminaire
-    from lumitree.lamp.sent import lamp_workers
+    from lumitree.lamp.luminaire import lamp_workers, load_luminaire
     from lumitree.trace.cameras import capture as capture_views
 
     watch = Stopwatch()
@@ -297,7 +294,7 @@ def extract(
             return _extract(run, output, tree_depth, samples_per_leaf, None, None, config)
     load_rgb(variant)
     from lumitree.fit.network.trained_field import load_field
-    from lumitree.lamp.loading import load_luminaire
+    from lumitree.lamp.luminaire import load_luminaire
 
     watch = Stopwatch()
     with reporting(progress), scratch_folder() as folder:

@@ -29,7 +29,7 @@ from lumitree.formats.photometric_file import read_photometry
 from lumitree.formats.photometric_text import warn_of_file
 from lumitree.formats.tm33 import read_tm33
 from lumitree.formats.type_c import IntensityDistribution
-from lumitree.lamp.loading import load_luminaire
+from lumitree.lamp.luminaire import load_luminaire
 from lumitree.lamp.scene_writer import write_scene
 from lumitree.lamp.stored_geometry import stored_geometry
 

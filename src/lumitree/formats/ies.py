@@ -50,7 +50,7 @@ from lumitree.formats.symmetry import (
     without_noise,
 )
 from lumitree.formats.type_c import IntensityDistribution, Turned
-from lumitree.lamp.importers.model_folder import ModelFolder
+from lumitree.lamp.importers.model_files import ModelFolder
 
 KIND = "IES LM-63 file"
 _METRES_PER_FOOT = 0.3048

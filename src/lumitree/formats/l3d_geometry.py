@@ -19,12 +19,11 @@ from lumitree.core.text import in_utf8
 from lumitree.errors import LumitreeError
 from lumitree.formats.archive import Archive
 from lumitree.formats.l3d import L3d, L3dPart, LightObject
-from lumitree.lamp.importers.images import num_pixels
-from lumitree.lamp.importers.obj.reader import part_names, read_obj
+from lumitree.lamp.importers.model_files import num_pixels
+from lumitree.lamp.importers.obj import part_names, read_obj
 from lumitree.lamp.importers.overrides import emitting_area
 from lumitree.lamp.meshes import Mesh
-from lumitree.lamp.names import Names
-from lumitree.lamp.parts import WHITE, Diffuse, Geometry, Material, Part
+from lumitree.lamp.parts import WHITE, Diffuse, Geometry, Material, Names, Part
 
 Matrix = NDArray[np.float64]
 # y up, from z up.

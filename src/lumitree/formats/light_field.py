@@ -14,9 +14,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.asset import Asset, light_field_asset
+from lumitree.asset.asset import Asset, EmittedSpectrum, light_field_asset
 from lumitree.asset.light_field import make_light_field
-from lumitree.asset.spectrum import EmittedSpectrum
 from lumitree.core.device import on_device
 from lumitree.core.frames import LocalFrame
 from lumitree.core.octahedral import (

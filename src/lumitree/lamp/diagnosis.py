@@ -9,18 +9,244 @@ shapes. Definitions, for one crossing of a line with a surface:
 
     step      +1 where the line enters the denser side, -1 where it leaves it
     depth     sum of the steps so far; in correct geometry 0 outside of glass and 1 inside
+
+Unlike by Mitsuba's rays, triangles are intersected in double precision, and no crossing is missed
+because it is close to another one.
 """
 
+import dataclasses
+import importlib
 import warnings
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.backend import load_mitsuba
+from lumitree.core.device import on_device
+from lumitree.core.frames import rotation
+from lumitree.core.mitsuba_meshes import is_flipped, mesh_arrays
 from lumitree.errors import LumitreeWarning
-from lumitree.lamp.glass_crossings import Crossings, trace_lines
 from lumitree.lamp.luminaire import Luminaire
+from lumitree.lamp.meshes import Floats
+
+Indices = NDArray[np.int64]
+
+# Largest number of lines per side of the square grid in each direction. The grid is coarser where
+# more pairs of a line and a triangle than _MAX_CANDIDATES would have to be tested.
+_MAX_GRID = 256
+_MAX_CANDIDATES = 500_000
+# Mitsuba offsets the origin of a ray from a surface by this length, times 1 + the largest
+# coordinate.
+_RAY_EPSILON = 1500 * 2.0**-24
+
+
+@dataclasses.dataclass(frozen=True)
+class Crossings:
+    """Crossings of lines with surfaces, in order along each line.
+
+    Attributes:
+        line: [N] index of the line.
+        shape: [N] index of the shape.
+        distance: [N] distance along the line, scene units.
+        normal: [N, 3] geometric normal, pointing out of the glass.
+        direction: [N, 3] direction of the line.
+        offset: [N] distance by which Mitsuba offsets a ray's origin from this surface, scene
+            units.
+    """
+
+    line: Indices
+    shape: Indices
+    distance: Floats
+    normal: Floats
+    direction: Floats
+    offset: Floats
+
+    @property
+    def step(self) -> Indices:
+        """[N] +1 where the line enters the glass, -1 where it leaves it."""
+        return np.where((self.normal * self.direction).sum(axis=1) < 0, 1, -1)
+
+    def take(self, index: NDArray) -> "Crossings":
+        """The crossings at `index`, which may be a mask."""
+        return Crossings(*(value[index] for value in vars(self).values()))
+
+
+def trace_lines(shapes: Sequence[Any]) -> Crossings:
+    """Crossings with the surfaces of refracting shapes, along three directions that are no axes."""
+    meshes = {i: _Mesh.of(shape) for i, shape in enumerate(shapes) if shape.is_mesh()}
+    sides = [_denser_side(shape) for shape in shapes]
+    # Lines along the axes would often be parallel to faces, or meet edges.
+    turn = rotation([0.36, 0.48, 0.8], 40.0)
+    pieces = []
+    for number in range(3):
+        frame = np.roll(turn, number, axis=1)
+        turned = {i: mesh.turned(frame) for i, mesh in meshes.items()}
+        points = [mesh.vertices for mesh in turned.values()]
+        points += [_box_corners(s) @ frame for i, s in enumerate(shapes) if i not in meshes]
+        grid = _Grid.over(number, frame, np.concatenate(points), turned.values())
+        for i, shape in enumerate(shapes):
+            if i in meshes:
+                line, distance, face = grid.cross_triangles(turned[i])
+                pieces.append(grid.crossings(line, i, distance, sides[i] * meshes[i].normals[face]))
+            else:
+                pieces += [
+                    grid.crossings(line, i, distance, sides[i] * normal)
+                    for line, distance, normal in grid.cross_shape(shape)
+                ]
+    columns = zip(*(vars(piece).values() for piece in pieces), strict=True)
+    together = Crossings(*(np.concatenate(column) for column in columns))
+    return together.take(np.lexsort((together.distance, together.line)))
+
+
+def _denser_side(shape: Any) -> int:
+    """+1 if the normal points out of the denser medium, else -1."""
+    # Only what is needed is read: Mitsuba cannot return some parameters of other plugins.
+    parameters = load_mitsuba().traverse(shape.bsdf())
+    names = [name for name in parameters.keys() if name.endswith("eta")]  # noqa: SIM118
+    eta = [np.ravel(parameters[name])[0] for name in names]
+    return -1 if eta and eta[0] < 1 else 1
+
+
+@dataclasses.dataclass(frozen=True)
+class _Mesh:
+    """Vertices [V, 3], faces [F, 3], and unit normals [F, 3] of the faces.
+
+    The normals are on the same side as Mitsuba's shading normals.
+    """
+
+    vertices: Floats
+    faces: Indices
+    normals: Floats
+
+    @staticmethod
+    def of(shape: Any) -> "_Mesh":
+        """A mi.Mesh in double precision."""
+        arrays = mesh_arrays(shape)
+        vertices, faces = arrays["vertices"].astype(np.float64), arrays["faces"].astype(np.int64)
+        a, b, c = (vertices[faces[:, corner]] for corner in range(3))
+        normals = np.cross(b - a, c - a)
+        normals /= np.maximum(np.sqrt((normals**2) @ np.ones(3)), 1e-300)[:, None]
+        if "normals" in arrays:
+            shading = arrays["normals"].astype(np.float64)
+            mean = sum(shading[faces[:, corner]] for corner in range(3))
+            normals[((normals * mean) @ np.ones(3)) < 0] *= -1
+        return _Mesh(vertices, faces, -normals if is_flipped(shape) else normals)
+
+    def turned(self, frame: Floats) -> "_Mesh":
+        """The mesh in coordinates along the columns of `frame`; normals are not changed."""
+        return dataclasses.replace(self, vertices=self.vertices @ frame)
+
+    def boxes(self) -> tuple[Floats, Floats]:
+        """Smallest and largest first two coordinates [F, 2] of every triangle."""
+        a, b, c = (self.vertices[self.faces[:, corner], :2] for corner in range(3))
+        return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+
+
+def _box_corners(shape: Any) -> Floats:
+    low, high = np.ravel(shape.bbox().min), np.ravel(shape.bbox().max)
+    return np.stack(np.meshgrid(*zip(low, high, strict=True)), -1).reshape(-1, 3).astype(np.float64)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Grid:
+    """Parallel lines along the third axis of a frame, through a lattice in the first two axes.
+
+    Attributes:
+        first_line: index of its first line.
+        frame: [3, 3] matrix whose columns are the axes.
+        low: [2] first point of the lattice.
+        spacing: distance of neighbouring lines.
+        count: numbers of lines along the first and the second axis.
+        start: third coordinate of a plane in front of all shapes.
+    """
+
+    first_line: int
+    frame: Floats
+    low: Floats
+    spacing: float
+    count: tuple[int, int]
+    start: float
+
+    @staticmethod
+    def over(number: int, frame: Floats, points: Floats, meshes: Iterable[_Mesh]) -> "_Grid":
+        """Grid that covers points [N, 3]; points and meshes are in coordinates of `frame`."""
+        low, extent = points.min(axis=0), np.ptp(points, axis=0)
+        area = 0.0
+        for mesh in meshes:
+            smallest, largest = mesh.boxes()
+            area += float(((largest - smallest)[:, 0] * (largest - smallest)[:, 1]).sum())
+        spacing = max(float(extent[:2].max()) / _MAX_GRID, (area / _MAX_CANDIDATES) ** 0.5)
+        columns, rows = (max(1, int(n)) for n in extent[:2] / spacing)
+        start = float(low[2] - extent.max())
+        first_line = number * _MAX_GRID**2
+        return _Grid(first_line, frame, low[:2] + spacing / 2, spacing, (columns, rows), start)
+
+    def crossings(self, line: Indices, shape: int, distance: Floats, normal: Floats) -> Crossings:
+        """Crossings with one shape, from the results of `cross_triangles` or `cross_shape`."""
+        points = self._points(line, distance)
+        return Crossings(
+            line + self.first_line,
+            np.full(len(line), shape),
+            distance,
+            normal,
+            np.broadcast_to(self.frame[:, 2], normal.shape),
+            _RAY_EPSILON * (1 + np.abs(points).max(axis=1, initial=0)),
+        )
+
+    def cross_triangles(self, mesh: _Mesh) -> tuple[Indices, Floats, Indices]:
+        """Line [N], distance [N] and face [N] of crossings with a mesh in the grid's frame."""
+        low, high = mesh.boxes()
+        first = np.maximum(np.ceil((low - self.low) / self.spacing).astype(np.int64), 0)
+        last = np.floor((high - self.low) / self.spacing).astype(np.int64)
+        size = np.maximum(np.minimum(last, np.array(self.count) - 1) - first + 1, 0)
+        # Candidates are the lines within a triangle's box; they are then tested with the triangle.
+        candidates = size[:, 0] * size[:, 1]
+        face = np.repeat(np.arange(len(candidates)), candidates)
+        within = np.arange(len(face)) - (np.cumsum(candidates) - candidates)[face]
+        column = first[face, 0] + within % size[face, 0]
+        row = first[face, 1] + within // size[face, 0]
+        x, y = (self.low[k] + self.spacing * index for k, index in enumerate((column, row)))
+        a, b, c = (mesh.vertices[mesh.faces[face, corner]] for corner in range(3))
+        weights = np.stack([_area(b, c, x, y), _area(c, a, x, y), _area(a, b, x, y)])
+        inside = (weights > 0).all(axis=0) | (weights < 0).all(axis=0)
+        distance = (weights * np.stack([a[:, 2], b[:, 2], c[:, 2]])).sum(axis=0)[inside]
+        distance /= weights.sum(axis=0)[inside]
+        return (column + self.count[0] * row)[inside], distance, face[inside]
+
+    def cross_shape(self, shape: Any) -> Iterator[tuple[Indices, Floats, Floats]]:
+        """Line [N], distance [N] and normal [N, 3] of crossings with a shape that is not a mesh."""
+        mi, dr = load_mitsuba(), importlib.import_module("drjit")
+        line = np.arange(self.count[0] * self.count[1])
+        direction = mi.Vector3f(self.frame[:, 2])
+        # One kernel for all directions.
+        dr.make_opaque(direction)
+        start = self._points(line, np.full(len(line), self.start))
+        while len(line):
+            si = shape.ray_intersect(mi.Ray3f(on_device(mi.Point3f, start), direction))
+            valid = si.is_valid()
+            dr.eval(valid, si.p, si.n)
+            hit = np.array(valid)
+            point, normal = (np.array(vector, np.float64).T[hit] for vector in (si.p, si.n))
+            line = line[hit]
+            yield line, point @ self.frame[:, 2], normal
+            # Continue behind this surface. Each shape is intersected alone, so that no other shape
+            # is missed.
+            step = 2 * _RAY_EPSILON * (1 + np.abs(point).max(initial=0))
+            start = point + step * self.frame[:, 2]
+
+    def _points(self, line: Indices, distance: Floats) -> Floats:
+        """World positions [N, 3] on lines."""
+        row, column = np.divmod(line, self.count[0])
+        lattice = self.low + self.spacing * np.column_stack([column, row])
+        return np.column_stack([lattice, distance]) @ self.frame.T
+
+
+def _area(a: Floats, b: Floats, x: Floats, y: Floats) -> Floats:
+    """Twice the signed area [N] of triangles (a, b, (x, y)) in the first two coordinates."""
+    return (b[:, 0] - a[:, 0]) * (y - a[:, 1]) - (b[:, 1] - a[:, 1]) * (x - a[:, 0])
+
 
 # Largest number of lines whose crossings are examined one by one.
 _MAX_EXAMINED = 2000

@@ -26,11 +26,8 @@ def media(scene: Any) -> list[Any]:
 
 def media_of(shapes: Iterable[Any]) -> list[Any]:
     """Every mi.Medium inside or around one of some shapes."""
-    found = []
-    for shape in shapes:
-        if shape.is_medium_transition():
-            found += [shape.interior_medium(), shape.exterior_medium()]
-    return [medium for medium in found if medium is not None]
+    sides = [(s.interior_medium(), s.exterior_medium()) for s in shapes if s.is_medium_transition()]
+    return [medium for pair in sides for medium in pair if medium is not None]
 
 
 def any_scatters(scene: Any) -> bool:
@@ -71,7 +68,6 @@ def _rgb(values: NDArray[np.float64]) -> RGB:
 
 
 def _anisotropy(phase: Any) -> float:
-    """Mean cosine of the scattering angle of a mi.PhaseFunction."""
     kind = phase.class_name()
     if kind == "IsotropicPhaseFunction":
         return 0.0
@@ -112,7 +108,7 @@ def keep_clear_channels(scene: Any) -> None:
 
 
 def _coefficients(medium: Any) -> tuple[Any, Any, Any]:
-    """Scattering, null and total extinction of a homogeneous medium: any point will do."""
+    """Scattering, null and total extinction of a homogeneous medium, at any point."""
     mi = load_mitsuba()
     # Not at the top: Dr.Jit looks for its library when it is imported.
     import drjit as dr

@@ -1,4 +1,4 @@
-"""Triangle meshes of revolution and swept tubes, with smooth normals.
+"""Triangle meshes: parts of them, surfaces of revolution and swept tubes with smooth normals.
 
 Lengths are in the caller's unit; y is up. Faces are counter-clockwise seen from where the normals
 point. A pole, where a ring of vertices would have no radius, is one vertex, so that closed
@@ -6,7 +6,7 @@ profiles and tubes give closed meshes.
 """
 
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,6 +31,11 @@ class Mesh:
     faces: NDArray[np.int64]
     uv: Floats | None = None
     colours: Floats | None = None
+
+    def taken(self, vertices: NDArray[np.int64], faces: NDArray[np.int64]) -> "Mesh":
+        """The vertices with these indices, and faces [F, 3] of them."""
+        uv, colours = (None if v is None else v[vertices] for v in (self.uv, self.colours))
+        return Mesh(self.vertices[vertices], self.normals[vertices], faces, uv, colours)
 
 
 def join(meshes: Iterable[Mesh]) -> Mesh:
@@ -75,6 +80,14 @@ def lathe(profile: ArrayLike, segments: int, crease: float = 35.0) -> Mesh:
         return np.stack(np.broadcast_arrays(radius * np.cos(angle), y, -radius * np.sin(angle)), -1)
 
     return skin(revolve(profile[order]), revolve(normal), joined)
+
+
+def sphere(radius: float, segments: int) -> Mesh:
+    """Sphere about the origin."""
+    angle = np.linspace(-np.pi / 2, np.pi / 2, segments // 2 + 1)
+    profile = radius * np.column_stack([np.cos(angle), np.sin(angle)])
+    profile[[0, -1], 0] = 0.0
+    return lathe(profile, segments)
 
 
 def area_normals(positions: Floats, faces: NDArray[np.int64]) -> Floats:
@@ -208,3 +221,39 @@ def skin(rings: Floats, normals: Floats, joined: NDArray[np.bool_]) -> Mesh:
     )
     proper = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
     return Mesh(rings[kept], normals[kept], faces[proper])
+
+
+def selected(mesh: Mesh, keep: NDArray[np.bool_]) -> Mesh:
+    """The faces that `keep` [F] marks, with the vertices they use."""
+    used, faces = np.unique(mesh.faces[keep], return_inverse=True)
+    return mesh.taken(used, faces.reshape(-1, 3))
+
+
+def with_backs(mesh: Mesh, doubled: NDArray[np.bool_], distance: float) -> Mesh:
+    """The mesh and a second, reversed copy of the faces that `doubled` [F] marks.
+
+    A surface emits from its front alone; with its copy it emits from both sides. With two faces in
+    one place a ray would hit either, so the copy lies behind by a distance in the mesh's unit.
+    """
+    used, faces = np.unique(mesh.faces[doubled], return_inverse=True)
+    count = len(mesh.vertices)
+    faces = np.concatenate([mesh.faces, faces.reshape(-1, 3)[:, ::-1] + count])
+    both = mesh.taken(np.concatenate([np.arange(count), used]), faces)
+    both.vertices[count:] -= distance * both.normals[count:]
+    both.normals[count:] *= -1
+    return both
+
+
+def by_handedness(mesh: Mesh, bumpy: bool) -> Iterator[tuple[Mesh, bool]]:
+    """The faces whose texture coordinates are mirrored apart from the others, if a mesh is bumpy.
+
+    The second axis of normal maps is turned round there. Mitsuba's is the product of the normal and
+    the first axis.
+    """
+    if not bumpy or mesh.uv is None:
+        yield mesh, False
+        return
+    mirrored = areas_on_image(mesh.uv, mesh.faces) > 0
+    for side in (False, True):
+        if (mirrored == side).any():
+            yield selected(mesh, mirrored == side), side

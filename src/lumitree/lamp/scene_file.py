@@ -2,6 +2,7 @@
 
 import contextlib
 import copy
+import importlib
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -16,14 +17,61 @@ from lumitree.core.file_kinds import SCENE, XML, what_it_is
 from lumitree.core.frames import similarity
 from lumitree.core.reading import read_bytes
 from lumitree.errors import LumitreeError, renderer_reason, shown
-from lumitree.lamp.blackbodies import replace_blackbodies
-from lumitree.lamp.importers.model_folder import MAX_MODEL_BYTES
+from lumitree.lamp.importers.model_files import MAX_MODEL_BYTES
 from lumitree.lamp.media import keep_clear_channels
-from lumitree.lamp.metallic_roughness import register_metallic_roughness
-from lumitree.lamp.names import select_names
-from lumitree.lamp.scene_instances import copy_instances, matrix_of, referred
-from lumitree.lamp.scene_shapes import CHOSEN_BY, SceneShape, shape_of_node
-from lumitree.lamp.spectra import spectra_of_emitters
+from lumitree.lamp.parts import select_names
+from lumitree.lamp.scene_shapes import CHOSEN_BY, SceneShape, referred, shape_of_node
+from lumitree.lamp.spectra import replace_blackbodies, spectra_of_emitters
+
+
+def copy_instances(state: Any) -> frozenset[int]:
+    """Replace the instances of a parsed scene by copies, which are placed in double precision.
+
+    `state` is mi.parser.ParserState, after `transform_all`. Returns numbers of the nodes that are
+    copies of mirrored instances: Mitsuba turns the normals of a mesh whose own transform mirrors
+    it, but not the normals of a mirrored instance.
+    """
+    mi = load_mitsuba()
+    root = state.nodes[0].props
+    groups, copies, mirrored = [], [], set[int]()
+    for key, index in referred(root).items():
+        props = state.nodes[index].props
+        match props.plugin_name():
+            case "shapegroup":
+                groups.append(key)
+            case "instance":
+                (group,) = referred(props).values()
+                members = referred(state.nodes[group].props).values()
+                copies.append((key, members, matrix_of(props)))
+    for key, members, matrix in copies:
+        for member in members:
+            node, copied = state.nodes[member], mi.parser.SceneNode()
+            copied.type, copied.props = node.type, mi.Properties(node.props)
+            copied.file_index, copied.offset = node.file_index, node.offset
+            place = matrix @ matrix_of(node.props)
+            copied.props["to_world"] = mi.ScalarTransform4d(place)
+            number = len(state.nodes)
+            if np.linalg.det(matrix[:3, :3]) < 0:
+                mirrored.add(number)
+            # The list of nodes may move in memory: what was taken from it is not used after this.
+            state.nodes.append(copied)
+            state.nodes[0].props[f"_arg_copy_{number}"] = mi.Properties.ResolvedReference(number)
+        del state.nodes[0].props[key]
+    for key in groups:
+        del state.nodes[0].props[key]
+    return frozenset(mirrored)
+
+
+def matrix_of(props: Any) -> NDArray[np.float64]:
+    """[4, 4] of the transform of a shape; Mitsuba refuses properties of other types."""
+    return np.array(getattr(props.get("to_world", None), "matrix", np.eye(4)), np.float64)
+
+
+def register_metallic_roughness() -> None:
+    """Register the BSDF of models with the variant of Mitsuba that is set."""
+    load_mitsuba()
+    # It imports Mitsuba, which a variant has to be set for.
+    importlib.import_module("lumitree.lamp.metallic_roughness").register()
 
 
 def refuse_kind(source: object, what: str) -> NoReturn:
@@ -52,8 +100,8 @@ class SceneFile:
         """Parse `source`.
 
         Args:
-            source: path of a scene file, or a dictionary as for `mitsuba.load_dict`. Of the objects
-                in a dictionary that are created already nothing is known.
+            source: path of a scene file, or a dictionary as for `mitsuba.load_dict`. Nothing is
+                known about objects in a dictionary that are created already.
             keep: patterns with * and ? of ids of shapes or of their BSDFs, or numbers of shapes
                 such as "#3". If there are any, all other shapes are left out of the scene, and all
                 objects that are not shapes.
@@ -66,7 +114,6 @@ class SceneFile:
         """
         if not isinstance(source, str | os.PathLike | Mapping):
             refuse_kind(source, "a scene")
-        described = dict(source) if isinstance(source, Mapping) else None
         self._kept = folder
         # Numbers of nodes, from `copy_instances`.
         self._mirrored: frozenset[int] = frozenset()
@@ -78,14 +125,6 @@ class SceneFile:
             content = read_bytes(self.path, "a Mitsuba scene", MAX_MODEL_BYTES)
             if (what := what_it_is(self.path, content)) not in (None, SCENE, XML):
                 raise LumitreeError(f"{self._name} is {what}; expected a Mitsuba 3 scene (.xml)")
-            if not content.isascii() and b"encoding=" not in content[:200].replace(b"\0", b""):
-                try:
-                    content.decode()
-                except UnicodeDecodeError as error:
-                    raise LumitreeError(
-                        f"{self._name} is not valid UTF-8 (byte {error.start}); expected XML in "
-                        "UTF-8, or with its encoding in the first line"
-                    ) from None
         mi = load_mitsuba()
         register_metallic_roughness()
         # Compared for each property of each node.
@@ -96,15 +135,21 @@ class SceneFile:
         self._config.unused_parameters = mi.LogLevel.Debug
         # Files of spectra are read here.
         with self._searching(), self._readable():
-            if described is None:
-                self._state = mi.parser.parse_file(self._config, str(source))
-            else:
-                self._state = mi.parser.parse_dict(self._config, described)
+            self._state = (
+                mi.parser.parse_dict(self._config, dict(source))
+                if isinstance(source, Mapping)
+                else mi.parser.parse_file(self._config, str(source))
+            )
             mi.parser.transform_all(self._config, self._state)
         # Shapes of the scene by their keys. A group is only visible through its instances.
+        root = self._state.nodes[0].props
+        own = self.children(root).items()
+        held = [
+            item for item in own if self._is_a(item[1], "Shape") and not self._is_group(item[1])
+        ]
+        held.sort(key=lambda item: root[item[0]].index())
         self._shapes = {
-            key: shape_of_node(number, key, node, self)
-            for number, (key, node) in enumerate(self._root("Shape"))
+            key: shape_of_node(number, key, node, self) for number, (key, node) in enumerate(held)
         }
         if keep or drop:
             self._select(keep, drop)
@@ -114,17 +159,6 @@ class SceneFile:
         self.spectra = spectra_of_emitters(self)
         # Properties read in another way than by Mitsuba; one line each.
         self.notes = replace_blackbodies(self)
-
-    def _root(self, kind: str) -> list[tuple[str, Any]]:
-        """Keys and nodes of a type that the scene itself holds, in the order of the file."""
-        root = self._state.nodes[0].props
-        children = self.children(root).items()
-        found = [
-            (key, node)
-            for key, node in children
-            if self._is_a(node, kind) and not self._is_group(node)
-        ]
-        return sorted(found, key=lambda item: root[item[0]].index())
 
     def _select(self, keep: Sequence[str], drop: Sequence[str]) -> None:
         root = self._state.nodes[0].props
@@ -171,7 +205,7 @@ class SceneFile:
         return [nodes[index] for index in sorted(self._reached(start))]
 
     def set_rgb_films(self) -> None:
-        """Make all films store R, G and B, and nothing else, whatever the file asks for."""
+        """Make all films store R, G and B, and nothing else."""
         for film in self.nodes("Film"):
             if film.props.plugin_name() == "hdrfilm":
                 film.props["pixel_format"] = "rgb"
@@ -265,8 +299,7 @@ class SceneFile:
         shapes = [node.props for node in self.nodes("Shape")]
         groups = [props for props in shapes if props.plugin_name() == "shapegroup"]
         grouped = [node.props for group in groups for node in self.children(group).values()]
-        left_out = [*groups, *grouped]
-        return [props for props in shapes if not any(props is other for other in left_out)]
+        return [p for p in shapes if not any(p is other for other in (*groups, *grouped))]
 
     def resolve(self, name: str) -> Path:
         """Path of a file that the scene refers to."""
@@ -296,16 +329,15 @@ class SceneFile:
         """Wavelengths and values of all spectra of the scene, also of those that files list."""
         kind = load_mitsuba().Properties.Type.Spectrum
         for props in (node.props for node in self._used()):
-            for name in (key for key in list(props.keys()) if props.type(key) == kind):
-                yield np.array([*props[name].wavelengths, *props[name].values], np.float64)
+            for name in list(props.keys()):
+                if props.type(name) == kind:
+                    yield np.array([*props[name].wavelengths, *props[name].values], np.float64)
 
     def references(self) -> list[Path]:
         """Paths of the files that the scene refers to."""
-        values = (node.props.get("filename", None) for node in self._used())
-        with self._searching() as resolver:
-            # Mitsuba takes no other values for files, such as a spectrum of this name.
-            names = (value for value in values if isinstance(value, str))
-            return sorted({Path(str(resolver.resolve(name))) for name in names})
+        names = {node.props.get("filename", None) for node in self._used()}
+        # Mitsuba takes no other values for files, such as a spectrum of this name.
+        return sorted({self.resolve(name) for name in names if isinstance(name, str)})
 
     def instantiate(self) -> Any:
         """Create the scene; the parsed file stays as it is.
@@ -319,7 +351,7 @@ class SceneFile:
         lamps = (node.props.plugin_name() == "lumitree_proxy" for node in self._used())
         self._config.parallel = not any(lamps)
         # Creating a scene clears the nodes.
-        from lumitree.lamp.textured_area import complete_textured_areas, replace_textured_areas
+        from lumitree.lamp.emitting_surfaces import complete_textured_areas, replace_textured_areas
 
         state = mi.parser.ParserState(self._state)
         replace_textured_areas(state)
@@ -355,7 +387,6 @@ class SceneFile:
             raise LumitreeError(f"{self._name} cannot be loaded: {shown(reason, 400)}") from None
 
     def _is_a(self, node: Any, kind: str) -> bool:
-        """Whether a node is of a type of Mitsuba object, such as "Film"."""
         return node.type == getattr(self._types, kind)
 
     def _is_group(self, node: Any) -> bool:

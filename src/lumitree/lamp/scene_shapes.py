@@ -1,12 +1,18 @@
-"""The shapes of a scene as its file names them, for selections and messages."""
+"""The shapes of a scene as its file names them, and their first evaluation.
+
+Some plugins accept when they are created what they cannot evaluate: a bump map of a procedural
+texture, or a curve that emits. `check_evaluates` finds Mitsuba's exceptions. Nothing is compiled:
+the functions of the plugins run, and their results are dropped.
+"""
 
 import dataclasses
-from collections.abc import Sequence
+import warnings
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.mitsuba_meshes import NORMALS, VERTICES
-from lumitree.errors import shown
+from lumitree.errors import LumitreeError, LumitreeWarning, renderer_reason, shown
 
 # Keys that Mitsuba gives to elements without a name begin so.
 _UNNAMED = "_arg_"
@@ -128,7 +134,6 @@ def build_again(groups: Sequence[Any]) -> None:
 
 
 def _children(parent: Any) -> list[Any]:
-    """The objects that an object of Mitsuba holds."""
     mi = load_mitsuba()
     children = []
 
@@ -155,10 +160,111 @@ def shapes_of_scene(scene: Any, shapes: Sequence[SceneShape]) -> Sequence[SceneS
 
 
 def _described(file: Any, node: Any) -> str:
-    """Plugin of a BSDF or an emitter, and of the textures that it names."""
     textures = [
         child.props.plugin_name()
         for child in file.children(node.props).values()
         if child.type == load_mitsuba().ObjectType.Texture
     ]
     return node.props.plugin_name() + (f" with {', '.join(textures)}" if textures else "")
+
+
+def check_evaluates(
+    scene: Any, shapes: Sequence[SceneShape], where: str, *, rays: bool = True
+) -> None:
+    """Refuse a scene with a BSDF or an emitter that Mitsuba cannot evaluate to numbers.
+
+    Warns of mesh attributes that a shape lacks.
+
+    Args:
+        scene: mi.Scene.
+        shapes: of the file that the scene was made from.
+        where: name of the scene, for messages.
+        rays: whether rays are also sampled from emitters, as for light paths.
+
+    Raises:
+        LumitreeError: the message names the shape, the plugin, and Mitsuba's reason.
+    """
+    tried: dict[int, Any] = {}
+    described = shapes_of_scene(scene, shapes)
+    for shape, names in zip(scene.shapes(), described, strict=True):
+        bsdf, emitter = shape.bsdf(), shape.emitter()
+        if bsdf is not None and id(bsdf) not in tried:
+            what = f"the BSDF of shape {names.label}, {names.bsdf or bsdf.class_name()},"
+            _try(_bsdf_calls(bsdf, shape), f"{where}: {what}")
+            # Kept: another object could get the number of one that is freed.
+            tried[id(bsdf)] = bsdf
+        if emitter is not None:
+            what = f"the emitter of shape {names.label}, {names.emitter or emitter.class_name()},"
+            _try(_emitter_calls(emitter, shape, rays), f"{where}: {what}")
+        for name in names.attributes:
+            if not all(shape.has_attribute(name)):
+                warnings.warn(
+                    f"{where}: shape {names.label} has no attribute {shown(name, 60)!r}, which its "
+                    "BSDF or emitter uses; it is 0 there",
+                    LumitreeWarning,
+                    stacklevel=3,
+                )
+    for emitter in scene.emitters():
+        if emitter.get_shape() is None:
+            what = f"{where}: the emitter {emitter.id() or emitter.class_name()}"
+            _try(_emitter_calls(emitter, None, False), what)
+
+
+def _try(calls: Iterator[Callable[[], Any]], what: str) -> None:
+    for call in calls:
+        try:
+            call()
+        except RuntimeError as error:
+            reason = renderer_reason(error)
+            if reason is None:
+                raise
+            raise LumitreeError(
+                f"{what} cannot be evaluated by Mitsuba in {load_mitsuba().variant()}: "
+                f"{shown(reason, 300)}; replace it, or its texture or shape; images and colours as "
+                "textures, and meshes and spheres as shapes can be evaluated"
+            ) from error
+
+
+def _bsdf_calls(bsdf: Any, shape: Any) -> Iterator[Callable[[], Any]]:
+    mi = load_mitsuba()
+    context, out = mi.BSDFContext(), mi.Vector3f(0, 0, 1)
+    si = _point(shape)
+    yield lambda: bsdf.eval(context, si, out)
+    yield lambda: bsdf.pdf(context, si, out)
+    yield lambda: bsdf.sample(context, si, mi.Float(0.5), mi.Point2f(0.5))
+    yield lambda: bsdf.eval_null_transmission(si)
+
+
+def _emitter_calls(emitter: Any, shape: Any | None, rays: bool) -> Iterator[Callable[[], Any]]:
+    # Not at the top: Dr.Jit looks for its library when it is imported.
+    import drjit as dr
+
+    mi = load_mitsuba()
+    si, seen_from = _point(shape), dr.zeros(mi.Interaction3f)
+    seen_from.p = mi.Point3f(1, 2, 3)
+    half = mi.Point2f(0.5)
+    yield lambda: emitter.eval(si)
+    yield lambda: emitter.sample_direction(seen_from, half)
+    yield lambda: emitter.pdf_direction(seen_from, dr.zeros(mi.DirectionSample3f))
+    if rays:
+        yield lambda: emitter.sample_ray(0, mi.Float(0.5), half, half)
+
+
+def _point(shape: Any | None) -> Any:
+    """A mi.SurfaceInteraction3f that is seen from the front."""
+    import drjit as dr
+
+    mi = load_mitsuba()
+    si = dr.zeros(mi.SurfaceInteraction3f)
+    si.wi, si.n = mi.Vector3f(0, 0, 1), mi.Normal3f(0, 0, 1)
+    si.sh_frame = mi.Frame3f(mi.Vector3f(0, 0, 1))
+    si.dp_du, si.dp_dv = mi.Vector3f(1, 0, 0), mi.Vector3f(0, 1, 0)
+    if shape is not None:
+        si.shape = mi.ShapePtr(shape)
+    return si
+
+
+def referred(props: Any) -> dict[str, int]:
+    """Indices of the nodes that a node refers to, by the names of the properties."""
+    kind = load_mitsuba().Properties.Type.ResolvedReference
+    return {key: props[key].index() for key in list(props.keys()) if props.type(key) == kind}

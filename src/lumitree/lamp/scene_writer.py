@@ -4,24 +4,26 @@ import dataclasses
 import itertools
 import math
 import os
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lumitree.asset.materials import Conductor
+from lumitree.asset import materials as asset_materials
+from lumitree.asset.materials import MetallicRoughness, VertexColours
 from lumitree.core.backend import load_mitsuba, second_thread
 from lumitree.core.files import accepts_name, atomic_path
 from lumitree.core.frames import is_far, similarity
+from lumitree.core.images import resized
 from lumitree.core.mitsuba_meshes import VERTEX_COLOUR, make_mesh
-from lumitree.lamp.conductors import normal_reflectance
-from lumitree.lamp.masked_emission import MaskedEmission
+from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.lamp.meshes import Floats, Mesh
-from lumitree.lamp.metallic_roughness import METALLIC_ROUGHNESS, register_metallic_roughness
-from lumitree.lamp.names import Names
 from lumitree.lamp.parts import (
+    RGB,
     WHITE,
     Colour,
     Diffuse,
@@ -30,14 +32,106 @@ from lumitree.lamp.parts import (
     Material,
     Medium,
     Metal,
+    Names,
     Part,
     Principled,
     Surface,
     Texture,
     Value,
-    VertexColour,
+    transmits,
 )
+from lumitree.lamp.scene_file import register_metallic_roughness
 from lumitree.lamp.scene_shapes import SceneShape
+
+# For all products of one model.
+_MAX_BYTES = 5 * 2**28
+
+
+class MaskedEmission:
+    """Radiance times opacity of the materials of a model; equal products are made once.
+
+    Mitsuba's emitters also emit where a mask lets light through.
+    """
+
+    def __init__(self) -> None:
+        self._made: dict[tuple[int | RGB, int | float], NDArray[np.float32]] = {}
+
+    def of(self, material: Material) -> Colour | None:
+        """Emission of a material; None for nothing.
+
+        If the texture coordinates of the opacity differ from the radiance's, its mean is used,
+        after a warning.
+        """
+        radiance, opacity = material.radiance, material.opacity
+        if radiance is None or (not isinstance(opacity, Texture) and opacity == 0):
+            return None
+        if isinstance(radiance, VertexColours) or opacity == 1:
+            return radiance
+        if not isinstance(radiance, Texture):
+            if isinstance(opacity, Texture):
+                return self._product(radiance, opacity, opacity, material.title)
+            red, green, blue = (float(opacity * value) for value in radiance)
+            return (red, green, blue)
+        if isinstance(opacity, Texture) and not (
+            np.array_equal(radiance.uv_transform, opacity.uv_transform)
+            and radiance.wrap == opacity.wrap
+        ):
+            warnings.warn(
+                f"material {shown(material.title)!r}: its opacity has other texture coordinates "
+                "than its emission, which is multiplied by the mean of the opacity",
+                LumitreeWarning,
+                stacklevel=2,
+            )
+            opacity = float(opacity.pixels.mean() / 255)
+        return self._product(radiance, opacity, radiance, material.title)
+
+    def _product(
+        self, radiance: RGB | Texture, opacity: Value, placed: Texture, title: str
+    ) -> Texture:
+        """A texture with the coordinates of `placed`."""
+        key = (
+            id(radiance.pixels) if isinstance(radiance, Texture) else radiance,
+            id(opacity.pixels) if isinstance(opacity, Texture) else opacity,
+        )
+        if key not in self._made:
+            factors = [
+                each.linear() if isinstance(each, Texture) else np.reshape(each, (1, 1, -1))
+                for each in (radiance, opacity)
+            ]
+            height, width = (max(each.shape[axis] for each in factors) for axis in (0, 1))
+            size = sum(each.nbytes for each in self._made.values()) + 12 * height * width
+            if size > _MAX_BYTES:
+                raise LumitreeError(
+                    f"material {shown(title)!r}: emission times opacity brings such images to "
+                    f"{size >> 20} MiB; at most {_MAX_BYTES >> 20} MiB: make them smaller"
+                )
+            light, share = (
+                each if each.shape[:2] == (1, 1) else resized(each, height, width)
+                for each in factors
+            )
+            self._made[key] = (light * share).astype(np.float32)
+        return dataclasses.replace(placed, pixels=self._made[key], encoded=False)
+
+
+def normal_reflectance(metal: asset_materials.Metal) -> list[float]:
+    """Reflectance [3] of a conductor at normal incidence, by Fresnel's equations."""
+    mi = load_mitsuba()
+    given = {"material": metal.material, "eta": metal.eta, "k": metal.k}
+    images = asset_materials.Texture | VertexColours
+    if any(isinstance(value, images) for value in given.values()):
+        return [1.0, 1.0, 1.0]
+    colours = {
+        name: {"type": "rgb", "value": list(value)} if isinstance(value, tuple) else value
+        for name, value in given.items()
+        if value is not None
+    }
+    parameters = mi.traverse(mi.load_dict({"type": "conductor", **colours}))
+    eta, k = (
+        np.broadcast_to(np.array(parameters[f"{name}.value"], np.float64).ravel(), 3)
+        for name in ("eta", "k")
+    )
+    return (((eta - 1) ** 2 + k**2) / ((eta + 1) ** 2 + k**2)).tolist()
+
 
 SCENE_FILE = "luminaire.xml"
 # Prefix of the ids of materials.
@@ -45,6 +139,17 @@ _PREFIX = "material_"
 # Roughness below which a surface is smooth: the geometry of an asset has no smaller alpha than its
 # square.
 _SMOOTH = 0.01
+
+
+# Parameters of the BSDF that are a number or a texture, and the attributes of `Principled`.
+_PRINCIPLED = {
+    **{name: name for name in ("metallic", "roughness")},
+    "anisotropic": "anisotropy",
+    "eta": "ior",
+    **{name: name for name in ("specular", "sheen", "clearcoat", "clearcoat_roughness")},
+    "spec_trans": "transmission",
+    "diff_trans": "diffuse_transmission",
+}
 
 
 def write_scene(model: Geometry, folder: str | os.PathLike[str]) -> Path:
@@ -143,7 +248,7 @@ class _Writer:
     def _metal(self, parent: Element, metal: Metal, name: dict[str, str]) -> None:
         rough = metal.roughness >= _SMOOTH
         if rough and metal.microfacets == "ggx":
-            reflectance = normal_reflectance(Conductor(material=metal.conductor))
+            reflectance = normal_reflectance(asset_materials.Conductor(material=metal.conductor))
             colour = tuple((np.array(metal.tint) * reflectance).tolist())
             surface = Principled(colour, metallic=1.0, roughness=metal.roughness)
             self._principled(parent, surface, name)
@@ -174,25 +279,17 @@ class _Writer:
             _rgb(bsdf, "specular_transmittance", glass.tint)
 
     def _principled(self, parent: Element, surface: Principled, name: dict[str, str]) -> None:
-        bsdf = SubElement(parent, "bsdf", {"type": METALLIC_ROUGHNESS, **name})
+        bsdf = SubElement(parent, "bsdf", {"type": MetallicRoughness.plugin, **name})
         self._colour(bsdf, "base_color", surface.base_color)
-        self._value(bsdf, "metallic", surface.metallic)
-        self._value(bsdf, "roughness", surface.roughness)
-        self._value(bsdf, "anisotropic", surface.anisotropy)
-        self._value(bsdf, "eta", surface.ior)
-        self._value(bsdf, "specular", surface.specular)
-        self._value(bsdf, "sheen", surface.sheen)
-        self._value(bsdf, "clearcoat", surface.clearcoat)
-        self._value(bsdf, "clearcoat_roughness", surface.clearcoat_roughness)
-        self._value(bsdf, "spec_trans", surface.transmission)
-        self._value(bsdf, "diff_trans", surface.diffuse_transmission)
+        for parameter, attribute in _PRINCIPLED.items():
+            self._value(bsdf, parameter, getattr(surface, attribute))
         _add(bsdf, "boolean", "thin", "true" if surface.thin else "false")
 
     def _colour(self, parent: Element, name: str, colour: Colour) -> None:
         match colour:
             case Texture():
                 self._texture(parent, name, colour)
-            case VertexColour():
+            case VertexColours():
                 texture = SubElement(parent, "texture", type="mesh_attribute", name=name)
                 _add(texture, "string", "name", VERTEX_COLOUR)
             case _:
@@ -216,7 +313,6 @@ class _Writer:
         _transform(element, "to_uv", matrix)
 
     def _image(self, texture: Texture) -> str:
-        """File of the texture's pixels, written at the first use."""
         mi = load_mitsuba()
         key = id(texture.pixels)
         if key not in self._textures:
@@ -276,14 +372,6 @@ def _recentred(model: Geometry) -> Geometry:
 def _reference(material: Material) -> str:
     # In a scene, ids of shapes and materials share one namespace, and $ begins a parameter.
     return _PREFIX + material.name.replace("$", "%24")
-
-
-def transmits(surface: Surface) -> bool:
-    """Whether light crosses a surface, so that its BSDF defines both sides."""
-    if isinstance(surface, Principled):
-        diffuse = surface.thin and surface.diffuse_transmission > 0
-        return diffuse or isinstance(surface.transmission, Texture) or surface.transmission > 0
-    return isinstance(surface, Glass)
 
 
 def _medium(shape: Element, medium: Medium) -> None:

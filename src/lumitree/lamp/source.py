@@ -77,8 +77,7 @@ def as_source(source: str | os.PathLike[str] | LuminaireSource) -> LuminaireSour
 
 
 def source_kind(source: object) -> Kind:
-    """What a source of light is. Of a path its suffix decides, in upper or lower case; of .xml
-    files how they begin.
+    """The kind of a source of light: by the suffix of a path, and by the beginning of .xml files.
 
     "asset": an `Asset` or a `.lumitree` file. "photometric": a photometric file or a ray file,
     which is an asset once it is opened. "dataset": the folder of one. "luminaire": all else.

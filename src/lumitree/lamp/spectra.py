@@ -1,14 +1,84 @@
-"""The spectra of a scene's emitters, of which RGB variants of Mitsuba keep the colour only."""
+"""Spectra of a scene's emitters, and black bodies as RGB.
+
+Mitsuba evaluates its plugin `blackbody` in spectral variants alone, and keeps only the colour of
+other spectra.
+"""
 
 import collections
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.backend import load_mitsuba
-from lumitree.core.photometry import WAVELENGTHS, blackbody_spectrum
-from lumitree.lamp.blackbodies import blackbody_of
+from lumitree.core.photometry import (
+    FILM_LUMINANCE,
+    LUMA,
+    RGB,
+    WAVELENGTHS,
+    blackbody_radiance,
+    blackbody_spectrum,
+    xyz_of_spectrum,
+)
+from lumitree.errors import LumitreeError, shown, shown_names
+
+# With their defaults: K, and the range of wavelengths, nm.
+_PARAMETERS = {"temperature": None, "wavelength_min": 360.0, "wavelength_max": 830.0}
+
+
+def replace_blackbodies(file: Any) -> list[str]:
+    """Replace the black bodies of a `SceneFile`'s emitters by their radiance, W/(m² sr).
+
+    Returns a line for each temperature, which says what radiance was taken.
+    """
+    taken: dict[str, list[str]] = {}
+    owners = [*file.nodes("Shape"), *file.nodes("Emitter")]
+    for owner in owners:
+        name = owner.props.id() or owner.props.plugin_name()
+        for emitter in (owner, *file.children(owner.props).values()):
+            if emitter.type == load_mitsuba().ObjectType.Emitter:
+                for line in _replaced(file, emitter.props):
+                    taken.setdefault(line, []).append(name)
+    return [f"{shown_names(dict.fromkeys(names))}: {line}" for line, names in taken.items()]
+
+
+def _replaced(file: Any, emitter: Any) -> Iterator[str]:
+    for name, node in file.children(emitter).items():
+        if node.props.plugin_name() == "blackbody":
+            body = blackbody_of(node.props)
+            temperature, radiance = body[0], blackbody_radiance(*body)
+            del emitter[name]
+            emitter[name] = _radiance_property(radiance, body)
+            colour = ", ".join(f"{channel:.4g}" for channel in radiance)
+            yield (
+                f"a blackbody of {temperature:g} K is taken as the RGB {colour} W/(m² sr), which "
+                "has its luminance; Mitsuba's own integrators render it 106.9 times darker in "
+                "spectral variants"
+            )
+
+
+def _radiance_property(radiance: RGB, body: tuple[float, float, float]) -> Any:
+    mi = load_mitsuba()
+    if not mi.is_spectral:
+        return mi.ScalarColor3d(radiance)
+    spectrum = blackbody_spectrum(*body)
+    spectrum *= (np.array(radiance) @ LUMA) * FILM_LUMINANCE / xyz_of_spectrum(spectrum)[1]
+    values = ", ".join(map(repr, spectrum.tolist()))
+    ends = {"wavelength_min": WAVELENGTHS[0], "wavelength_max": WAVELENGTHS[-1]}
+    return mi.load_dict({"type": "regular", "values": values, **ends})
+
+
+def blackbody_of(props: Any) -> tuple[float, float, float]:
+    """Temperature, K, and shortest and longest wavelength, nm, of the plugin `blackbody`."""
+    values = []
+    for name, default in _PARAMETERS.items():
+        value = props.get(name, default)
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise LumitreeError(f"{name} of a blackbody is {shown(value, 60)}; expected a number")
+        values.append(float(value))
+    return values[0], values[1], values[2]
+
 
 # Wavelengths, nm, and values, both [N]; not checked.
 Samples = tuple[NDArray[np.float64], NDArray[np.float64]]
@@ -34,7 +104,6 @@ def spectra_of_emitters(file: Any) -> dict[str, Samples]:
 
 
 def _samples(file: Any, emitter: Any) -> Samples | None:
-    """The spectrum of an emitter's radiance; None if it has none."""
     held = file.children(emitter).get("radiance")
     if held is None:
         return _listed(emitter, "radiance")
@@ -44,7 +113,6 @@ def _samples(file: Any, emitter: Any) -> Samples | None:
 
 
 def _listed(props: Any, name: str) -> Samples | None:
-    """A property that is a list of wavelengths and values, or a constant spectrum."""
     if name not in props:
         return None
     if props.type(name) != load_mitsuba().Properties.Type.Spectrum:

@@ -2,14 +2,13 @@
 
 import dataclasses
 from collections import defaultdict
-from contextlib import AbstractContextManager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.checks import naming
 from lumitree.asset.geometry import (
     ARRAYS,
     UNIT_SHAPES,
@@ -37,6 +36,7 @@ from lumitree.asset.materials import (
 )
 from lumitree.core.backend import load_mitsuba, second_thread
 from lumitree.core.mitsuba_meshes import VERTEX_COLOUR, is_flipped, mesh_arrays
+from lumitree.core.reading import naming
 from lumitree.errors import LumitreeError, shown
 from lumitree.lamp.luminaire import Luminaire
 from lumitree.lamp.media import stored_medium
@@ -55,9 +55,8 @@ def stored_geometry(luminaire: Luminaire) -> AssetGeometry:
 
     Raises:
         LumitreeError: the luminaire cannot be stored: it has a shape, BSDF, texture, emitter or
-            medium that is not in the lists of `asset.materials`, its
-            instances have too many triangles, or it was made from a mi.Scene. The message is the
-            reason.
+            medium that is not in the lists of `asset.materials`, its instances have too many
+            triangles, or it was made from a mi.Scene. The message is the reason.
     """
     file, shapes = luminaire.parsed, luminaire.scene.shapes()
     if any(shape.class_name() == "Instance" for shape in shapes):
@@ -86,7 +85,7 @@ class _Reader:
         names = [shown(node.props.id() or node.props.plugin_name(), 60) for node in nodes]
         described = []
         for node, name in zip(nodes, names, strict=True):
-            with _of_shape(name):
+            with naming(partial("shape {!r}".format, name)):
                 described.append(self._describe(node.props))
         if len(shapes) != len(nodes):
             raise LumitreeError("a shape that becomes several, such as `merge`, is not stored")
@@ -97,29 +96,28 @@ class _Reader:
             self._file.mirrored(), nodes, names, shapes, described, strict=True
         ):
             plugin = node.props.plugin_name()
-            with _of_shape(name):
+            with naming(partial("shape {!r}".format, name)):
                 properties = dataclasses.replace(properties, **_media(shape))
-            mesh: MeshArrays = {}
-            # A rectangle is a mesh to Mitsuba.
-            if shape.is_mesh() and plugin not in UNIT_SHAPES:
-                mesh = mesh_arrays(shape)
-                properties = dataclasses.replace(properties, flipped=is_flipped(shape))
-                if turned:
-                    _turn(mesh)
-            with _of_shape(name):
+                mesh: MeshArrays = {}
+                # A rectangle is a mesh to Mitsuba.
+                if shape.is_mesh() and plugin not in UNIT_SHAPES:
+                    mesh = mesh_arrays(shape)
+                    properties = dataclasses.replace(properties, flipped=is_flipped(shape))
+                    if turned:
+                        _turn(mesh)
                 material = self._materials[properties.material]
                 check_surface(material, properties.radiance, mesh, self._facts)
-            if mesh:
-                meshes[repr((plugin, properties, sorted(mesh)))].append((properties, mesh))
-            else:
-                others.append(_unit_shape(name, plugin, shape, properties))
+                if mesh:
+                    meshes[repr((plugin, properties, sorted(mesh)))].append((properties, mesh))
+                else:
+                    others.append(_unit_shape(plugin, shape, properties))
         return _joined(meshes, others, self._images, self._materials, origin)
 
     def _describe(self, props: Any) -> Shape:
         """Properties of a shape besides its form and its media."""
         radiance: Radiance | None = None
         material: Material | None = None
-        for child in self._children(props).values():
+        for child in self._file.children(props).values():
             if child.type == load_mitsuba().ObjectType.Emitter:
                 radiance = self._radiance(child.props)
             elif child.type == load_mitsuba().ObjectType.BSDF:
@@ -160,7 +158,7 @@ class _Reader:
         mi = load_mitsuba()
         values: dict[str, Parameter] = {}
         nested: list[Material] = []
-        children = self._children(props)
+        children = self._file.children(props)
         for name in list(props.keys()):
             child = children.get(name)
             if child is None:
@@ -175,9 +173,6 @@ class _Reader:
             else:
                 raise LumitreeError(f"{props.plugin_name()} holds an object that is not stored")
         return values, nested
-
-    def _children(self, props: Any) -> dict[str, Any]:
-        return self._file.children(props)
 
     def _texture(self, props: Any) -> Texture | VertexColours:
         plugin = props.plugin_name()
@@ -222,12 +217,7 @@ class _Reader:
         return self._image_of[key]
 
 
-def _of_shape(name: str) -> AbstractContextManager[None]:
-    return naming(lambda: f"shape {name!r}")
-
-
 def _plain(name: str, value: Any) -> Parameter:
-    """A number, a text or a colour."""
     if isinstance(value, bool | int | float | str):
         return value
     numbers = np.ravel(np.array(value, np.float64))
@@ -266,9 +256,9 @@ def _turn(mesh: MeshArrays) -> None:
             mesh["normals"] = -mesh["normals"]
 
 
-def _unit_shape(name: str, plugin: str, shape: Any, properties: Shape) -> UnitShape:
+def _unit_shape(plugin: str, shape: Any, properties: Shape) -> UnitShape:
     if plugin not in UNIT_SHAPES:
-        raise LumitreeError(f"shape {name!r} is a {plugin}, which is not stored")
+        raise LumitreeError(f"a {plugin} is not stored")
     matrix = np.array(load_mitsuba().traverse(shape)["to_world"].matrix, np.float64)
     to_world = tuple(map(tuple, matrix.reshape(4, 4).tolist()))
     if plugin == "disk":

@@ -27,9 +27,9 @@ from lumitree.fit.bake import bake
 from lumitree.fit.config import BakeConfig
 from lumitree.fit.finishing import work_folder_of
 from lumitree.formats.photometric_file import read_again
-from lumitree.lamp.builtin.registry import BUILTIN
-from lumitree.lamp.importers.model_folder import noted_files
-from lumitree.lamp.sent import absolute_source
+from lumitree.lamp.builtin import BUILTIN
+from lumitree.lamp.importers.model_files import noted_files
+from lumitree.lamp.luminaire import absolute_source
 from lumitree.lamp.source import (
     LuminaireSource,
     as_source,
@@ -295,7 +295,7 @@ def _loaded(source: LuminaireSource, config: BakeConfig) -> tuple[str, Any]:
     if (dataset := dataset_folder(source)) is not None:
         digest.update((dataset / MANIFEST).read_bytes())
         return digest.hexdigest(), source
-    from lumitree.lamp.loading import load_luminaire
+    from lumitree.lamp.luminaire import load_luminaire
 
     luminaire = load_luminaire(source)
     digest.update(luminaire.fingerprint.encode())

@@ -212,7 +212,7 @@ def _references(
     `asset` has a box of the proportions of the luminaire's. `sizes`: number, resolution and samples
     per pixel of new views.
     """
-    from lumitree.lamp.loading import load_luminaire
+    from lumitree.lamp.luminaire import load_luminaire
     from lumitree.measure.view_errors import check_proportions
     from lumitree.trace.cameras import capture
 

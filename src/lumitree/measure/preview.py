@@ -166,7 +166,7 @@ def preview(
             raise LumitreeError("an asset has no paths to count the bounces of; leave bounces out")
         with reporting(progress):
             return _preview_asset(asset, output, resolution, spp)
-    from lumitree.lamp.loading import load_luminaire
+    from lumitree.lamp.luminaire import load_luminaire
     from lumitree.trace.flux import estimate_flux, missed_by_depth
 
     watch = Stopwatch()
@@ -304,12 +304,12 @@ class Preview:
         return max(round(math.log2(0.18 / float(np.median(lit)) / self.exposure)), _MIN_STOPS)
 
 
-def take_preview(luminaire: "Luminaire", resolution: int, samples_per_pixel: int) -> Preview:
+def take_preview(luminaire: "Luminaire", resolution: int, spp: int) -> Preview:
     """Render the six views, with `resolution` pixels per side."""
     from lumitree.rendering.studio import luminaire_photographs
     from lumitree.trace.cameras import Camera
 
-    camera = Camera(luminaire, resolution, samples_per_pixel)
+    camera = Camera(luminaire, resolution, spp)
     images: dict[str, ViewImages] = {}
     seconds = []
     poses = _poses(luminaire.bounding_radius)
@@ -320,15 +320,13 @@ def take_preview(luminaire: "Luminaire", resolution: int, samples_per_pixel: int
             seconds.append(time.perf_counter() - start)
             advance(1)
     # The first view is not counted, because its time includes compilation.
-    paths = resolution**2 * samples_per_pixel * (len(VIEWS) - 1)
+    paths = resolution**2 * spp * (len(VIEWS) - 1)
     preview = Preview(images, [], paths / sum(seconds[1:]))
-    photographs = luminaire_photographs(
-        luminaire, poses, resolution, samples_per_pixel, preview.exposure
-    )
+    photographs = luminaire_photographs(luminaire, poses, resolution, spp, preview.exposure)
     return dataclasses.replace(preview, photographs=photographs)
 
 
-def take_asset_preview(asset: Asset, resolution: int, samples_per_pixel: int) -> Preview:
+def take_asset_preview(asset: Asset, resolution: int, spp: int) -> Preview:
     """Render the six views of an asset, with the camera of its luminaire's preview.
 
     Both opacities are the one of `shown_images`. The camera's sphere contains the bounding box.
@@ -339,15 +337,13 @@ def take_asset_preview(asset: Asset, resolution: int, samples_per_pixel: int) ->
 
     radius = float(np.linalg.norm(asset.frame.half_extents))
     poses = _poses(radius)
-    shown = shown_images(asset, poses, radius, resolution, samples_per_pixel)
+    shown = shown_images(asset, poses, radius, resolution, spp)
     images = {
         name: ViewImages(radiance, opacity, opacity)
         for name, (radiance, opacity) in zip(VIEWS, shown, strict=True)
     }
     preview = Preview(images, [], 0.0)
-    photographs = asset_photographs(
-        asset, poses, radius, resolution, samples_per_pixel, preview.exposure
-    )
+    photographs = asset_photographs(asset, poses, radius, resolution, spp, preview.exposure)
     return dataclasses.replace(preview, photographs=photographs)
 
 

@@ -16,7 +16,7 @@ from lumitree.core.backend import load_mitsuba
 from lumitree.core.files import FilePath
 from lumitree.core.turns import in_turn
 from lumitree.errors import LumitreeError, shown
-from lumitree.lamp.builtin.registry import BUILTIN
+from lumitree.lamp.builtin import BUILTIN
 from lumitree.lamp.source import (
     LuminaireSource,
     gldf_variant,

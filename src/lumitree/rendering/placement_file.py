@@ -10,7 +10,7 @@ from typing import Any
 
 from lumitree.core.toml_file import converted, read_toml
 from lumitree.errors import LumitreeError, explained, shown
-from lumitree.lamp.builtin.registry import BUILTIN
+from lumitree.lamp.builtin import BUILTIN
 from lumitree.rendering.placement import Placement
 
 _Numbers3 = tuple[float, float, float]

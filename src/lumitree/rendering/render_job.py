@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lumitree.core.executor import packed, run_tasks, unpacked
 from lumitree.errors import LumitreeError, LumitreeWarning
-from lumitree.lamp.sent import absolute_source
+from lumitree.lamp.luminaire import absolute_source
 
 if TYPE_CHECKING:
     from lumitree.rendering.layers import Recorded

@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree._version import __version__
-from lumitree.asset.checks import expect, expect_arrays
 from lumitree.core.arguments import MAX_SAMPLES
 from lumitree.core.files import FilePath, WorkFolder, WriteError, atomic_path
-from lumitree.core.reading import read_arrays, read_bytes
+from lumitree.core.reading import expect, expect_arrays, read_arrays, read_bytes
 from lumitree.core.results import plain
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.lamp.source import LuminaireSource, gldf_variant
@@ -135,7 +134,7 @@ def image_identity(
     Raises:
         LumitreeError: the scene or a luminaire is no file, and so cannot be compared later.
     """
-    from lumitree.lamp.opening import fingerprint_of
+    from lumitree.lamp.read_source import fingerprint_of
     from lumitree.lamp.scene_file import SceneFile
 
     if not isinstance(scene, str | os.PathLike):

@@ -15,12 +15,10 @@ from lumitree.asset.asset import Asset
 from lumitree.core.arguments import MAX_PIXELS_A_SIDE, check_gain
 from lumitree.core.frames import float32_step, is_far, similarity, similarity_scale
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
-from lumitree.lamp.loading import load_luminaire
-from lumitree.lamp.luminaire import Luminaire, LuminaireLike
+from lumitree.lamp.luminaire import Luminaire, LuminaireLike, load_luminaire
 from lumitree.lamp.media import any_heterogeneous
-from lumitree.lamp.probe import check_evaluates
 from lumitree.lamp.scene_file import SceneFile
-from lumitree.lamp.scene_shapes import SceneShape, reusable_shapes, shapes_of_scene
+from lumitree.lamp.scene_shapes import SceneShape, check_evaluates, reusable_shapes, shapes_of_scene
 from lumitree.lamp.source import LuminaireSource
 from lumitree.octree.field import Field
 from lumitree.rendering.asset_cache import open_asset, open_field

@@ -20,9 +20,8 @@ from lumitree.core.files import exclusive
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.errors import LumitreeError
-from lumitree.lamp.luminaire import Luminaire
+from lumitree.lamp.luminaire import LampWorkers, Luminaire, received_luminaire
 from lumitree.lamp.media import is_coloured, media
-from lumitree.lamp.sent import LampWorkers, received_luminaire
 from lumitree.trace import medium_paths
 from lumitree.trace.spawning import is_smooth, is_transmitted, scene_extent, spawn
 

@@ -16,7 +16,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.spectrum import EmittedSpectrum
+from lumitree.asset.asset import EmittedSpectrum
 from lumitree.core.photometry import Flux, MissedFlux, luminance, matching_functions
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.core.spectrum import sampled_spectrum

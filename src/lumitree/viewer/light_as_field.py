@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
-from lumitree.asset.light_field import LightField
-from lumitree.asset.packed_colours import unpack
+from lumitree.asset.light_field import LightField, unpack
 from lumitree.core.harmonics import MAX_L, Y_00, basis_array
 from lumitree.core.octahedral import middle_directions, solid_angles
 from lumitree.octree.build import build_children

@@ -1,7 +1,7 @@
 """Content of the page of the viewer: arrays of an asset in one compressed stream.
 
 The geometry is shown, if there is one (`model`), and the field. The field is rounded as in a
-file, and its numbers are those of the file's stream (`field_bytes`). Without both the light field
+file, and its numbers are those of the file's stream (`field_file`). Without both the light field
 is shown, as a field (`light_as_field`). The light field is reduced to luminous intensity, as
 float16 relative to the largest of each cell.
 """
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from lumitree.asset.array_stream import Layout, compressed
 from lumitree.asset.asset import Asset
-from lumitree.asset.field_bytes import (
+from lumitree.asset.field_file import (
     BRIGHT,
     DENSITY_SHIFT,
     MEDIUM,
@@ -24,8 +24,7 @@ from lumitree.asset.field_bytes import (
     coefficient_codes,
     density_codes,
 )
-from lumitree.asset.light_field import LightField
-from lumitree.asset.packed_colours import unpack
+from lumitree.asset.light_field import LightField, unpack
 from lumitree.core.photometry import luminance
 from lumitree.errors import LumitreeError
 from lumitree.octree.wide_nodes import wide_levels, wide_nodes

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from lumitree.asset.light_field import make_light_field
-from lumitree.asset.packed_colours import is_part, pack, pack_part, unpack
+from lumitree.asset.light_field import is_part, make_light_field, pack, pack_part, unpack
 from lumitree.core.octahedral import coarse_solid_angles, solid_angles
 from lumitree.core.photometry import luminance
 from lumitree.fit.light_field.bake import bake_light_field

@@ -8,7 +8,7 @@ import pytest
 import lumitree
 from lumitree.errors import LumitreeError
 from lumitree.fit.light_field.bake import bake_light_field, grid_depth
-from lumitree.lamp.loading import load_luminaire
+from lumitree.lamp.luminaire import load_luminaire
 from lumitree.trace.light_field_config import LEAST_DEPTH, LightFieldConfig
 from support.chandelier import chandelier, irradiance_errors, references
 from support.lamps import AREA, cube, lamp_of, sphere

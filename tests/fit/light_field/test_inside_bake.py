@@ -5,9 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from lumitree.asset.light_inside import parts_of_ending
-from lumitree.asset.lit_bins import by_coarse_bin
-from lumitree.asset.packed_colours import unpack
+from lumitree.asset.light_field import by_coarse_bin, parts_of_ending, unpack
 from lumitree.core.device import on_device
 from lumitree.core.octahedral import bin_of, coarse_bin, coarse_solid_angles, solid_angles
 from lumitree.core.photometry import luminance

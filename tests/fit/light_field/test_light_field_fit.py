@@ -10,7 +10,7 @@ import pytest
 import lumitree
 from lumitree.asset.asset import light_field_asset
 from lumitree.asset.file import save
-from lumitree.asset.packed_colours import unpack
+from lumitree.asset.light_field import unpack
 from lumitree.core.device import on_device
 from lumitree.core.octahedral import own_solid_angles, solid_angles
 from lumitree.core.progress import reporting

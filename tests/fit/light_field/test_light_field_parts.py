@@ -17,7 +17,7 @@ from lumitree.core.photometry import colour_temperature, luminance
 from lumitree.errors import LumitreeError
 from lumitree.fit.light_field import bake as light_field_bake
 from lumitree.fit.light_field.saved_field import LIGHT_FIELD_STATE
-from lumitree.lamp.loading import load_luminaire
+from lumitree.lamp.luminaire import load_luminaire
 from support import tiny_bakes
 from support.fields import random_asset
 from support.lamps import AREA, cube, scene, sphere

@@ -10,7 +10,7 @@ from support.lamps import scene
 @pytest.fixture
 def lamp(mi, tmp_path):
     """Loads a luminaire of the given shapes (texts of scene elements)."""
-    from lumitree.lamp.loading import load_luminaire
+    from lumitree.lamp.luminaire import load_luminaire
 
     numbers = itertools.count()
 

@@ -17,7 +17,7 @@ VIEWS, RESOLUTION = 17, 64
 @pytest.fixture(scope="module")
 def dataset(mi, tmp_path_factory):
     """An emissive sphere beside a grey cube."""
-    from lumitree.lamp.loading import load_luminaire
+    from lumitree.lamp.luminaire import load_luminaire
     from lumitree.trace.cameras import capture
 
     folder = tmp_path_factory.mktemp("stored")

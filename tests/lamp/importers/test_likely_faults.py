@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from lumitree.lamp.meshes import area_normals
-from lumitree.lamp.model_reading import read_model
 from lumitree.lamp.parts import Glass
+from lumitree.lamp.read_source import read_model
 from lumitree.lamp.source import LuminaireSource
 from support.gltf_builder import Gltf, sphere
 

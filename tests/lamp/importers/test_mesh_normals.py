@@ -5,8 +5,12 @@ import warnings
 import numpy as np
 import trimesh
 
-from lumitree.lamp.importers.mesh_normals import crease_normals, face_normals, turned_with_normals
-from lumitree.lamp.importers.topology import Pieces
+from lumitree.lamp.importers.topology import (
+    Pieces,
+    crease_normals,
+    face_normals,
+    turned_with_normals,
+)
 from lumitree.lamp.meshes import Mesh
 
 

@@ -1,11 +1,11 @@
-"""Tests of `lumitree.lamp.importers.images`."""
+"""Tests of `lumitree.lamp.importers.model_files`."""
 
 import struct
 
 import pytest
 
 from lumitree.errors import LumitreeError
-from lumitree.lamp.importers.images import Images
+from lumitree.lamp.importers.model_files import Images
 
 SIDE = 64
 

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lumitree.errors import LumitreeError, LumitreeWarning
-from lumitree.lamp.importers.model_folder import MAX_MODEL_BYTES
-from lumitree.lamp.importers.obj.mtl import parse_mtl
-from lumitree.lamp.importers.obj.parse import parse_obj
+from lumitree.lamp.importers.model_files import MAX_MODEL_BYTES
+from lumitree.lamp.importers.mtl import parse_mtl
+from lumitree.lamp.importers.obj_text import parse_obj
 
 LINES = ["v 0 0 0", "v 1 0 0", "v 0 1 0", "vt 0 1", "vn 0 1 0", "f 1 2 3", "f -1 -2 -3", "f"]
 LINES += ["f 1/1 2/1 3/1", "f 1//1 2 3", "usemtl", "s", "s 1", "mtllib", "v", "#", "\\", "vt"]
@@ -77,7 +77,7 @@ def test_normals_and_texture_coordinates_that_are_not_there(parsed):
         file = parsed(text)
     assert [str(item.message).partition("obj: ")[2] for item in caught] == [
         "3 corners of faces name texture coordinates that are not there (the file has 1); they are "
-        "left out",
+        "not used",
         "3 corners of faces name normals that are not there (the file has 1); they are computed",
     ]
     assert file.corners.tolist() == [
@@ -108,17 +108,17 @@ def test_vertex_colours(parsed):
 @pytest.mark.parametrize(
     ("rows", "match"),
     [
-        (("0.5", "", ""), "left out: weights of vertices"),
-        (("0.2 0 0 0.5", "", ""), "left out: opacities of vertices"),
-        (("1 0", "", ""), "left out: what follows the positions"),
-        (("-1 0 0", "", ""), "left out: vertex colours beyond"),
-        (("300 0 0", "", ""), "left out: vertex colours beyond"),
+        (("0.5", "", ""), "not used: weights of vertices"),
+        (("0.2 0 0 0.5", "", ""), "not used: opacities of vertices"),
+        (("1 0", "", ""), "numbers after"),
+        (("-1 0 0", "", ""), "not used: vertex colours beyond"),
+        (("300 0 0", "", ""), "not used: vertex colours beyond"),
     ],
 )
 def test_what_vertices_have_besides(parsed, rows, match):
     with pytest.warns(LumitreeWarning, match=match):
         parsed(coloured(*rows))
-    with pytest.warns(LumitreeWarning, match="left out: #MRGB"):
+    with pytest.warns(LumitreeWarning, match="not used: #MRGB"):
         parsed(TRIANGLE + "#MRGB ffff0000\nf 1 2 3")
 
 
@@ -127,10 +127,10 @@ def test_keys_that_are_not_used_are_said_once(parsed):
     with pytest.warns(LumitreeWarning) as caught:
         parsed(text)
     assert [str(item.message).partition("obj: ")[2] for item in caught] == [
-        "left out: lines of 'usemap', free-form curves and surfaces (export polygons), lines, "
+        "not used: lines of 'usemap', free-form curves and surfaces (export polygons), lines, "
         "third texture coordinates"
     ]
-    with pytest.raises(LumitreeError, match="holds no faces, but points; expected"):
+    with pytest.raises(LumitreeError, match="no faces, but points; expected"):
         parsed(TRIANGLE + "p 1 2 3")
 
 
@@ -140,7 +140,7 @@ def test_materials_groups_and_odd_text(parsed):
         "f 1 2 3\r\nusemtl old brass\r\ns 2\r\nf 1 2 \\\r\n3 # tail\r\no x\r\ng y\r\ns off\r\n"
         "usemtl b\r\n f 3 2 1\r\nusemtl old brass\r\nf 2 3 1\r\nl 1 2\r\np 1"
     )
-    with pytest.warns(LumitreeWarning, match="left out: lines, points$"):
+    with pytest.warns(LumitreeWarning, match="not used: lines, points$"):
         file = parsed(text)
     assert file.materials == ("old brass", "b", "")
     assert [file.materials[number] for number in file.material] == [
@@ -159,10 +159,10 @@ def test_names_that_are_not_utf8_or_not_printable(parsed):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "holds no faces"),
-        (b"\x00\xff\xfe\x89PNG\r\n", "holds no faces"),
+        ("", "no faces"),
+        (b"\x00\xff\xfe\x89PNG\r\n", "no faces"),
         (TRIANGLE + "f 1 2", "line 4: a face with 2 corners"),
-        (TRIANGLE + "f 1 2 3\nf", "holds no faces|line 5: a face with 0 corners"),
+        (TRIANGLE + "f 1 2 3\nf", "no faces|line 5: a face with 0 corners"),
         (TRIANGLE + "f 1 2 4", "line 4: corner '4' names a position .* the file has 3"),
         (TRIANGLE + "\n\nf 1 2 3\nf 0 1 2", "line 7: corner '0'"),
         (TRIANGLE + "f -4 -2 -1", "line 4: corner '-4'"),

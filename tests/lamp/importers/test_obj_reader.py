@@ -5,10 +5,11 @@ import pytest
 import trimesh
 from PIL import Image
 
+from lumitree.asset.materials import VertexColours
 from lumitree.errors import LumitreeWarning
-from lumitree.lamp.importers.obj.reader import read_obj
+from lumitree.lamp.importers.obj import read_obj
 from lumitree.lamp.importers.topology import count_solids
-from lumitree.lamp.parts import Diffuse, Glass, Metal, Principled, Texture, VertexColour
+from lumitree.lamp.parts import Diffuse, Glass, Metal, Principled, Texture
 
 QUAD = "v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
 
@@ -120,7 +121,7 @@ PAINTED = "v -1 -1 0 1 0 0\nv 1 -1 0 1 0 0\nv 1 1 0 0 0 1\nv -1 1 0 0 0 1\nvt 0 
 def test_vertex_colours_times_kd(model, tmp_path):
     text = PAINTED + "usemtl a\nf 1/1 2/1 3/1 4/1"
     lamp = model(text, "newmtl a\nKd 0.5 0.5 0.25\nKe 1 2 3")
-    assert lamp.materials[0].surface == Diffuse(VertexColour())
+    assert lamp.materials[0].surface == Diffuse(VertexColours())
     assert lamp.materials[0].radiance == (1, 2, 3)
     mesh = lamp.parts[0].mesh
     np.testing.assert_allclose(mesh.colours[mesh.vertices[:, 1] < 0], [[0.5, 0, 0]] * 2)
@@ -128,16 +129,16 @@ def test_vertex_colours_times_kd(model, tmp_path):
     # Without Kd the colours are the vertices' own.
     assert model(text, "newmtl a").parts[0].mesh.colours.max() == 1
     glossy = model(text, "newmtl a\nKs 0.5 0.5 0.5").materials[0].surface
-    assert glossy.base_color == VertexColour()
+    assert glossy.base_color == VertexColours()
     with pytest.warns(LumitreeWarning, match="or to have the colours of its vertices"):
-        assert model(text).materials[0].surface == Diffuse(VertexColour())
+        assert model(text).materials[0].surface == Diffuse(VertexColours())
 
 
 def test_vertex_colours_that_are_not_used(model, tmp_path):
     image(tmp_path / "a.png", np.zeros((2, 2, 3)))
     text = PAINTED + "usemtl a\nf 1/1 2/1 3/1 4/1"
     for lines in ("map_Kd a.png", "illum 4", "illum 3\nKd 0 0 0\nKs 1 1 1"):
-        with pytest.warns(LumitreeWarning, match="left out: vertex colours"):
+        with pytest.warns(LumitreeWarning, match="not used: vertex colours"):
             assert model(text, "newmtl a\n" + lines).parts[0].mesh.colours is None
     white = PAINTED.replace("1 0 0\n", "1 1 1\n").replace("0 0 1\n", "1 1 1\n")
     assert model(white + "usemtl a\nf 1 2 3", "newmtl a").parts[0].mesh.colours is None
@@ -270,7 +271,7 @@ def test_normal_maps_and_height_maps(quad, tmp_path):
     assert isinstance(quad("norm n.png").normal_map, Texture)
     halved = quad("map_Bump -bm 0.5 n.png").normal_map.pixels[0, 0] / 127.5 - 1
     assert halved[0] / halved[2] == pytest.approx(0.375, abs=0.02)
-    with pytest.warns(LumitreeWarning, match=r"'a': left out: bump \(a height map"):
+    with pytest.warns(LumitreeWarning, match=r"'a': not used: bump \(a height map"):
         assert quad("map_Bump grey.png").normal_map is None
 
 
@@ -279,7 +280,7 @@ def test_what_is_left_out_is_reported_in_one_warning(quad, tmp_path):
     with pytest.warns(LumitreeWarning) as caught:
         quad("map_Kd -mm 0.5 2 -imfchan r a.png\nmap_Ns a.png\ndecal a.png")
     assert [str(item.message) for item in caught] == [
-        "material 'a': left out: map_Ns, decal, map_Kd -mm, map_Kd -imfchan r"
+        "material 'a': not used: map_Ns, decal, map_Kd -mm, map_Kd -imfchan r"
     ]
 
 

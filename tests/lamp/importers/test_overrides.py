@@ -13,10 +13,9 @@ from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.lamp.importers.overrides import (
     apply_overrides,
     check_emits,
+    read_overrides,
     select_parts,
 )
-from lumitree.lamp.importers.overrides_file import read_overrides
-from lumitree.lamp.masked_emission import MaskedEmission
 from lumitree.lamp.meshes import Mesh
 from lumitree.lamp.parts import (
     Diffuse,
@@ -28,6 +27,7 @@ from lumitree.lamp.parts import (
     Part,
     Principled,
 )
+from lumitree.lamp.scene_writer import MaskedEmission
 
 
 def box(sides=(1, 1, 1), open_faces=0):

@@ -8,8 +8,8 @@ import pytest
 from lumitree.errors import LumitreeWarning
 from lumitree.lamp.importers.overrides import emitting_area
 from lumitree.lamp.meshes import area_normals
-from lumitree.lamp.model_reading import read_model
 from lumitree.lamp.parts import Glass
+from lumitree.lamp.read_source import read_model
 from lumitree.lamp.source import LuminaireSource
 from support.gltf_builder import QUAD, QUAD_FACES, Gltf, sphere
 

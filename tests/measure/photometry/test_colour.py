@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lumitree
-from lumitree.asset.spectrum import EmittedSpectrum
+from lumitree.asset.asset import EmittedSpectrum
 from lumitree.cli import main
 from lumitree.core.photometry import WAVELENGTHS, blackbody_spectrum, srgb_from_xyz, xyz_of_spectrum
 from lumitree.core.spectrum import sampled_spectrum

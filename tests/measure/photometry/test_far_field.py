@@ -176,7 +176,7 @@ def test_an_asset_emits_what_its_light_field_has(mi):
     directions = random.normal(size=(1 << 19, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     local = directions @ frame.rotation
-    from lumitree.asset.packed_colours import unpack
+    from lumitree.asset.light_field import unpack
     from lumitree.core.octahedral import bin_of
 
     field = asset.light_field

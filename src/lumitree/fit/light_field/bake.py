@@ -27,8 +27,7 @@ from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.fit.light_field.inside import DISTANCES, EndingDraw, light_inside
 from lumitree.fit.light_field.saved_field import SavedLightField
-from lumitree.lamp.luminaire import Luminaire
-from lumitree.lamp.sent import LampWorkers, received_luminaire
+from lumitree.lamp.luminaire import LampWorkers, Luminaire, received_luminaire
 from lumitree.trace.flux import check_output
 from lumitree.trace.histograms import (
     BinnedRays,

@@ -1,9 +1,9 @@
-"""The light inside a luminaire's box from its bake, see `lumitree.asset.light_inside`.
+"""The light inside a luminaire's box from its bake, see `lumitree.asset.light_field`.
 
 Reach over distance is stored by a few curves, found by weighted k-means (`codebook`).
 
 Symbols
-    C, Q, E, K, J, s    as in `lumitree.asset.light_inside`
+    C, Q, E, K, J, s    as in `lumitree.asset.light_field`
     N   entries of the codebook
     n   light of an entry that gets farther than each distance
     d   first point of n: all light of the entry
@@ -20,9 +20,7 @@ import enum
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.light_field import LightField
-from lumitree.asset.light_inside import MAX_CURVES, LightInside
-from lumitree.asset.packed_colours import pack_lit, pack_part
+from lumitree.asset.light_field import MAX_CURVES, LightField, LightInside, pack_lit, pack_part
 from lumitree.core.octahedral import coarse_solid_angles
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.octree.build import morton

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.checks import expect, expect_arrays
 from lumitree.core.files import WriteError, atomic_path
 from lumitree.core.harmonics import num_coefficients
-from lumitree.core.reading import read_arrays
+from lumitree.core.reading import expect, expect_arrays, read_arrays
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.fit.octree.config import OctreeConfig
 from lumitree.fit.octree.leaf_field import LeafField, padded_width

@@ -1,21 +1,48 @@
-"""Settings that replace or complete a model's file: materials, emission, unit, up axis."""
+"""Settings that replace or complete a model's file: materials, emission, unit, up axis.
+
+They are read from a TOML file, see docs/bring-your-own-lamp.md. Error messages contain the name of
+the file and the key.
+"""
 
 import dataclasses
+import math
 import warnings
 from collections.abc import Mapping, Sequence
-from typing import Literal
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
 
+from lumitree.asset.materials import CONDUCTORS
 from lumitree.core.frames import similarity
-from lumitree.core.photometry import radiance_from_flux
+from lumitree.core.photometry import (
+    MAX_TEMPERATURE,
+    MIN_TEMPERATURE,
+    blackbody_colour,
+    radiance_from_flux,
+)
+from lumitree.core.toml_file import Range, converted, read_toml
+from lumitree.core.units import UNITS
 from lumitree.errors import LumitreeError, LumitreeWarning, shown, shown_names
 from lumitree.lamp.importers.topology import count_solids
-from lumitree.lamp.masked_emission import opacity_of_faces
 from lumitree.lamp.meshes import Floats, Mesh, area_normals, join
-from lumitree.lamp.names import select_names
-from lumitree.lamp.parts import RGB, WHITE, Geometry, Glass, Material, Part, Surface
-from lumitree.lamp.scene_writer import transmits
+from lumitree.lamp.parts import (
+    RGB,
+    WHITE,
+    Diffuse,
+    Geometry,
+    Glass,
+    Material,
+    Medium,
+    Metal,
+    Part,
+    Principled,
+    Surface,
+    Texture,
+    Value,
+    select_names,
+    transmits,
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -110,7 +137,6 @@ def select_parts(model: Geometry, keep: Sequence[str], drop: Sequence[str], file
     Patterns match the name of a part, its object or its material. A part with several copies keeps
     the copies whose objects match. A pattern without a match, or an empty selection, is refused.
     """
-    titles = {material.name: material.title for material in model.materials}
     objects = {name for part in model.parts for name in part.objects}
     copies = [(part, at) for part in model.parts for at in range(len(part.places))]
     names = []
@@ -118,7 +144,7 @@ def select_parts(model: Geometry, keep: Sequence[str], drop: Sequence[str], file
         own = [part.objects[at]] if part.objects else []
         # Also the name of a part of an object of another name.
         own += [] if part.name in objects else [part.name]
-        names.append(tuple(dict.fromkeys([*own, titles[part.material], part.material])))
+        names.append(tuple(dict.fromkeys([*own, model.material(part).title, part.material])))
     chosen = select_names(names, keep, drop, file, "part or material")
     kept: dict[str, list[int]] = {}
     for (part, at), wanted in zip(copies, chosen, strict=True):
@@ -149,9 +175,9 @@ def emitting_area(model: Geometry, title: str) -> float:
 
     Every copy counts.
     """
-    total, materials = 0.0, {material.name: material for material in model.materials}
+    total = 0.0
     for part in _parts_with(model, title):
-        opacity = opacity_of_faces(materials[part.material].opacity, part.mesh)
+        opacity = opacity_of_faces(model.material(part).opacity, part.mesh)
         normals = opacity[:, None] * area_normals(part.mesh.vertices, part.mesh.faces)
         for place in part.places:
             linear = place[:3, :3]
@@ -159,6 +185,46 @@ def emitting_area(model: Geometry, title: str) -> float:
             cofactors = np.linalg.det(linear) * np.linalg.inv(linear)
             total += float(np.linalg.norm(normals @ cofactors, axis=1).sum()) / 2
     return total
+
+
+def opacity_of_faces(opacity: Value, mesh: Mesh) -> Floats:
+    """Mean opacity [F] of the faces of a mesh."""
+    count = len(mesh.faces)
+    if not isinstance(opacity, Texture):
+        return np.full(count, float(opacity))
+    if mesh.uv is None:
+        return np.full(count, float(_looked_up(opacity, np.zeros((1, 2)))[0]))
+    points = _points_of_triangle(math.isqrt(_POINTS // max(count, 1)))
+    uv = np.einsum("pc,fcx->pfx", points, mesh.uv[mesh.faces])
+    return _looked_up(opacity, uv.reshape(-1, 2)).reshape(len(points), count).mean(axis=0)
+
+
+def _points_of_triangle(parts: int) -> Floats:
+    """Barycentric coordinates [N, 3] of the middles of the equal parts of a triangle."""
+    side = min(max(parts, 1), 128)
+    i, j = (each.ravel() for each in np.meshgrid(np.arange(side), np.arange(side)))
+    upright = np.stack([i, j], axis=1)[i + j < side] + 1 / 3
+    turned = np.stack([i, j], axis=1)[i + j < side - 1] + 2 / 3
+    two = np.concatenate([upright, turned]) / side
+    return np.column_stack([two, 1 - two.sum(axis=1)])
+
+
+def _looked_up(texture: Texture, uv: Floats) -> Floats:
+    """Values [N] of the nearest pixels of a texture with one channel, in [0, 1]."""
+    place = uv @ texture.uv_transform[:2, :2].T + texture.uv_transform[:2, 2]
+    match texture.wrap:
+        case "repeat":
+            place = place % 1.0
+        case "mirror":
+            place = 1 - np.abs(place % 2.0 - 1)
+        case "clamp":
+            pass
+    height, width = texture.pixels.shape[:2]
+    column, row = (
+        np.clip(np.floor(place[:, axis] * size), 0, size - 1).astype(np.int64)
+        for axis, size in ((0, width), (1, height))
+    )
+    return texture.pixels[row, column, 0] / 255.0
 
 
 def _in_metres(model: Geometry, overrides: Overrides) -> Geometry:
@@ -201,7 +267,6 @@ def _divided(colour: RGB, divisor: float) -> RGB:
 
 
 def _resurfaced(model: Geometry, material: Material, change: MaterialOverride) -> Material:
-    """The material with the surface and the opacity of an override."""
     if change.surface is not None:
         # Opacity and normal map belong to the surface that is replaced.
         material = Material(
@@ -217,7 +282,6 @@ def _resurfaced(model: Geometry, material: Material, change: MaterialOverride) -
 
 
 def _lit(model: Geometry, material: Material, change: MaterialOverride, file: str) -> Material:
-    """The material with the emission of an override."""
     if change.emission is None:
         return material
     radiance = _radiance(model, material.title, change.emission, file)
@@ -264,9 +328,7 @@ def _whole_meshes(parts: Sequence[Part]) -> list[Mesh]:
 
 
 def _parts_with(model: Geometry, title: str) -> list[Part]:
-    """The parts with a material of the file."""
-    names = {material.name for material in model.materials if material.title == title}
-    return [part for part in model.parts if part.material in names]
+    return [part for part in model.parts if model.material(part).title == title]
 
 
 def _radiance(model: Geometry, title: str, emission: Emission, file: str) -> RGB | None:
@@ -279,3 +341,166 @@ def _radiance(model: Geometry, title: str, emission: Emission, file: str) -> RGB
     if area <= 0:
         raise LumitreeError(f"{file}: material {shown(title)!r} has no area to emit lumens from")
     return radiance_from_flux(emission.lumens, area, emission.colour)
+
+
+# Points at which the opacity of a mesh is looked up, about.
+_POINTS = 1 << 18
+_MAX_EMISSION = 1e9
+_GREY: RGB = (0.5, 0.5, 0.5)
+_Share: TypeAlias = Annotated[float, Range(0, 1)]
+_Ior: TypeAlias = Annotated[float, Range(1, 4, above=True)]
+_Positive: TypeAlias = Annotated[float, Range(0, _MAX_EMISSION)]
+# R, G and B, or one number for all.
+_Factors: TypeAlias = _Share | tuple[_Share, _Share, _Share]
+_Radiance: TypeAlias = _Positive | tuple[_Positive, _Positive, _Positive]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Glass:
+    ior: _Ior = 1.5
+    roughness: _Share = 0.0
+    tint: _Factors = WHITE
+    thin: bool | None = None
+    absorption: _Radiance | None = None
+    scattering: _Radiance | None = None
+    anisotropy: Annotated[float, Range(-0.99, 0.99)] = 0.0
+
+
+@dataclasses.dataclass(frozen=True)
+class _Metal:
+    tint: _Factors = WHITE
+    roughness: _Share = 0.0
+    conductor: str = "none"
+
+
+@dataclasses.dataclass(frozen=True)
+class _Diffuse:
+    reflectance: _Factors = _GREY
+
+
+@dataclasses.dataclass(frozen=True)
+class _Principled:
+    base_color: _Factors = _GREY
+    metallic: _Share = 0.0
+    roughness: _Share = 0.5
+    ior: _Ior = 1.5
+    clearcoat: _Share = 0.0
+    transmission: _Share = 0.0
+    diffuse_transmission: Annotated[float, Range(0, 2)] = 0.0
+    thin: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
+class _Emitter:
+    radiance: _Radiance | None = None
+    lumens: Annotated[float, Range(0, _MAX_EMISSION, above=True)] | None = None
+    temperature: Annotated[float, Range(MIN_TEMPERATURE, MAX_TEMPERATURE)] | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class _Material:
+    glass: _Glass | None = None
+    metal: _Metal | None = None
+    diffuse: _Diffuse | None = None
+    principled: _Principled | None = None
+    emitter: _Emitter | None = None
+    opacity: _Share | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class _File:
+    units: str | Annotated[float, Range(1e-6, 1e6)] = 1.0
+    up: Literal["y", "z"] = "y"
+    variant: str | None = None
+    material: dict[str, Any] = dataclasses.field(default_factory=dict)
+
+
+def read_overrides(path: Path) -> Overrides:
+    """Read a TOML file of overrides."""
+    file = converted(read_toml(path, "a TOML file of overrides"), _File, path)
+    materials = {}
+    for name, values in file.material.items():
+        table = f"material.{shown(name)}"
+        material = converted(values, _Material, path, table)
+        try:
+            materials[name] = _override(material, table)
+        except LumitreeError as error:
+            raise LumitreeError(f"{shown(path, 300)}: {error}") from None
+    if isinstance(file.units, str) and file.units not in UNITS:
+        raise LumitreeError(
+            f"{shown(path, 300)}: units is {shown(file.units)!r}; expected one of "
+            f"{', '.join(UNITS)}, or the metres in a unit"
+        )
+    return Overrides(
+        file=str(path),
+        metres_per_unit=UNITS[file.units] if isinstance(file.units, str) else file.units,
+        up=file.up,
+        variant=file.variant,
+        materials=materials,
+    )
+
+
+def _override(material: _Material, name: str) -> MaterialOverride:
+    surfaces = [
+        each
+        for each in (material.glass, material.metal, material.diffuse, material.principled)
+        if each is not None
+    ]
+    if len(surfaces) > 1:
+        raise LumitreeError(f"{name} has {len(surfaces)} surfaces; expected one")
+    emission = None
+    if material.emitter is not None:
+        emission = _emission(material.emitter, f"{name}.emitter")
+    surface, guess_thin = None, False
+    if surfaces:
+        surface, guess_thin = _surface(surfaces[0], name)
+    return MaterialOverride(surface, guess_thin, emission, material.opacity)
+
+
+def _surface(read: _Glass | _Metal | _Diffuse | _Principled, name: str) -> tuple[Surface, bool]:
+    """The surface, and whether the file leaves open whether it is thin."""
+    if isinstance(read, _Glass):
+        return _glass(read, f"{name}.glass")
+    if isinstance(read, _Metal):
+        if read.conductor not in CONDUCTORS:
+            raise LumitreeError(
+                f"{name}.metal.conductor is {shown(read.conductor)!r}; expected Ag, Al, Au, Cr, "
+                "Cu, W or another of Mitsuba's, or none"
+            )
+        return Metal(_rgb(read.tint), read.roughness, read.conductor), False
+    if isinstance(read, _Diffuse):
+        return Diffuse(_rgb(read.reflectance)), False
+    return Principled(**{**vars(read), "base_color": _rgb(read.base_color)}), False
+
+
+def _glass(read: _Glass, name: str) -> tuple[Surface, bool]:
+    solid = read.roughness > 0 or read.absorption is not None or read.scattering is not None
+    if read.thin and solid:
+        raise LumitreeError(
+            f"{name} is thin; a thin sheet has no roughness, absorption or scattering: use tint, "
+            "or thin = false"
+        )
+    glass = Glass(
+        ior=read.ior, roughness=read.roughness, tint=_rgb(read.tint), thin=bool(read.thin)
+    )
+    medium = Medium(_rgb(read.absorption or 0.0), _rgb(read.scattering or 0.0), read.anisotropy)
+    if any(medium.absorption + medium.scattering):
+        glass = dataclasses.replace(glass, medium=medium)
+    return glass, read.thin is None and not solid
+
+
+def _emission(read: _Emitter, name: str) -> Emission:
+    if (read.radiance is None) == (read.lumens is None):
+        raise LumitreeError(f"{name} needs either radiance or lumens")
+    colour = WHITE if read.temperature is None else blackbody_colour(read.temperature)
+    if read.radiance is None:
+        return Emission(None, read.lumens or 0.0, colour)
+    radiance = _rgb(read.radiance)
+    if read.temperature is not None and len(set(radiance)) > 1:
+        raise LumitreeError(f"{name} has a temperature, so its radiance has to be one number")
+    red, green, blue = (factor * channel for factor, channel in zip(radiance, colour, strict=True))
+    return Emission((red, green, blue))
+
+
+def _rgb(value: float | tuple[float, float, float]) -> RGB:
+    return value if isinstance(value, tuple) else (value, value, value)

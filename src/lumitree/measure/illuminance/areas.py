@@ -18,7 +18,7 @@ from lumitree.core.files import FilePath
 from lumitree.core.reading import read_bytes
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.errors import LumitreeError, shown
-from lumitree.lamp.names import matching
+from lumitree.lamp.parts import matching
 from lumitree.lamp.scene_shapes import CHOSEN_BY, SceneShape
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ import warnings
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.spectrum import EmittedSpectrum
+from lumitree.asset.asset import EmittedSpectrum
 from lumitree.core.photometry import (
     WAVELENGTHS,
     chromaticity_difference,

@@ -13,8 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.asset import Asset
-from lumitree.asset.spectrum import EmittedSpectrum
+from lumitree.asset.asset import Asset, EmittedSpectrum
 from lumitree.core.frames import LocalFrame, similarity
 from lumitree.core.photometry import luminance
 from lumitree.core.progress import progress

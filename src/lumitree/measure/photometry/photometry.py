@@ -145,7 +145,7 @@ def photometry(
     load_rgb(variant)
     from lumitree.formats.ies_fields import SIMULATED, UNDEFINED
     from lumitree.formats.photometric_file import read_again
-    from lumitree.lamp.loading import load_luminaire
+    from lumitree.lamp.luminaire import load_luminaire
     from lumitree.measure.photometry.far_field import (
         asset_source,
         luminaire_source,

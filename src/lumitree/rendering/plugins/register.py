@@ -26,7 +26,6 @@ from numpy.typing import ArrayLike
 
 from lumitree.core.backend import load_mitsuba
 from lumitree.errors import LumitreeError
-from lumitree.lamp.metallic_roughness import register_metallic_roughness
 
 if TYPE_CHECKING:
     from lumitree.asset.asset import Asset
@@ -60,7 +59,7 @@ def register() -> None:
     mi.register_bsdf("lumitree_null", bsdf)
     mi.register_shape("lumitree_box", box)
     mi.register_integrator("lumitree_path", integrator)
-    register_metallic_roughness()
+    importlib.import_module("lumitree.lamp.metallic_roughness").register()
 
     def make_proxy(props: Any) -> Any:
         try:

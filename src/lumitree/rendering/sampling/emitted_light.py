@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
-from lumitree.asset.light_field import LightField
-from lumitree.asset.packed_colours import divided, pack_lit, unpack
+from lumitree.asset.light_field import LightField, divided, pack_lit, unpack
 from lumitree.core.device import on_device, parameter
 from lumitree.core.octahedral import direction_in_bin, solid_angles
 from lumitree.core.photometry import luminance

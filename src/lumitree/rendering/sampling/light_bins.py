@@ -10,15 +10,17 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.light_field import LightField
-from lumitree.asset.light_inside import parts_of_ending
-from lumitree.asset.lit_bins import by_coarse_bin, by_fine_bin, dense
-from lumitree.asset.packed_colours import (
+from lumitree.asset.light_field import (
     EXPONENT_OF_ONE,
     EXPONENT_SHIFT,
     MANTISSA,
     MANTISSA_SHIFTS,
+    LightField,
+    by_coarse_bin,
+    by_fine_bin,
+    dense,
     pack_lit,
+    parts_of_ending,
     unpack,
 )
 from lumitree.core.octahedral import bin_of, octahedral, solid_angles

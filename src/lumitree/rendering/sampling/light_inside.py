@@ -1,11 +1,11 @@
 """The light field for receivers inside the lamp's box.
 
 As `light_field`, whose symbols hold, for receivers among the cells. What they get of a cell
-depends on their distance (`asset.light_inside`).
+depends on their distance (`asset.light_field`).
 
 Symbols
     C   cells that light leaves         Q   bins of direction a side, half of R
-    J, s    see `asset.light_inside`
+    J, s    see `asset.light_field`
 """
 
 from __future__ import annotations
@@ -18,9 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
-from lumitree.asset.light_field import LightField
-from lumitree.asset.lit_bins import dense
-from lumitree.asset.packed_colours import unpack
+from lumitree.asset.light_field import LightField, dense, unpack
 from lumitree.core.alias_table import AliasTable
 from lumitree.core.device import on_device, parameter
 from lumitree.core.octahedral import coarse_bin, coarse_solid_angles, solid_angles

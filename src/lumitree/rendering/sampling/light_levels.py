@@ -18,8 +18,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.light_field import LightField
-from lumitree.asset.packed_colours import unpack
+from lumitree.asset.light_field import LightField, unpack
 from lumitree.core.device import parameter
 from lumitree.octree.build import morton
 from lumitree.octree.leaves import grid_boxes_inside

@@ -22,8 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from lumitree.asset.light_field import LightField
-from lumitree.asset.packed_colours import unpack
+from lumitree.asset.light_field import LightField, unpack
 from lumitree.core.alias_table import AliasTable
 from lumitree.core.device import on_device, parameter
 from lumitree.core.octahedral import bin_of, middle_directions
