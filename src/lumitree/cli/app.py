@@ -16,7 +16,7 @@ from cyclopts import App, CycloptsError, Parameter
 from lumitree._version import __version__
 from lumitree.cli.commands import COMMANDS, Command, Given, join_groups
 from lumitree.cli.output import LONGEST_LINE
-from lumitree.cli.signatures import OUTPUTS, command
+from lumitree.cli.signatures import OUTPUTS, with_signature
 from lumitree.core.backend import quieten
 from lumitree.core.files import remove_abandoned_scratch
 from lumitree.core.interruption import (
@@ -86,7 +86,23 @@ def _run(arguments: list[str]) -> int:
 
 def _parsed(arguments: list[str]) -> tuple[str, Given] | None:
     """Name and arguments of a command; None if help or a version was printed instead."""
-    program = App(
+    name = arguments[0]
+    try:
+        parser = program(name if name in COMMANDS or name == "--help" else None)
+        return parser(join_groups(name, arguments), exit_on_error=False, print_error=False)
+    except CycloptsError as error:
+        of = f" {name}" if name in COMMANDS else ""
+        text = " ".join(str(error).split()).rstrip(".")
+        raise LumitreeError(f"{text}; see 'lumitree{of} --help'") from None
+
+
+def program(command: str | None = None) -> App:
+    """The parser of the command line; calls return the name of a command and its arguments.
+
+    Args:
+        command: the one that has options; the others are only listed. Default: all.
+    """
+    parser = App(
         name="lumitree",
         help="Bake a complex luminaire into a compact emitter for Mitsuba 3.",
         version=__version__,
@@ -96,20 +112,10 @@ def _parsed(arguments: list[str]) -> tuple[str, Given] | None:
     )
     for name, each in COMMANDS.items():
         called = functools.partial(lambda name, given: (name, given), name)
-        # The other commands are only listed.
-        whole = arguments[0] in (name, "--install-completion", "__complete")
-        run = command(called, *each.help(), each.all_options() if whole else {})
-        program.command(run, name=name)
-    program.register_install_completion_command()
-    try:
-        joined = join_groups(arguments[0], arguments)
-        return program(joined, exit_on_error=False, print_error=False)
-    except CycloptsError as error:
-        of = f" {arguments[0]}" if arguments[0] in COMMANDS else ""
-        text = " ".join(str(error).split())
-        raise LumitreeError(
-            f"{text[:1].lower()}{text[1:].rstrip('.')}; see 'lumitree{of} --help'"
-        ) from None
+        options = each.all_options() if command in (None, name) else {}
+        parser.command(with_signature(called, *each.help(), options), name=name)
+    parser.register_install_completion_command()
+    return parser
 
 
 def _check_files(given: Given) -> None:

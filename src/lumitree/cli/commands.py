@@ -187,10 +187,12 @@ class Grouped:
         """The option that begins a group, and those of its other fields, for the help."""
         found = {}
         for name, each in options_of(self.kind).items():
-            kind = list[str] if name == self.field else each.type
-            settings = Parameter(group=Group(f"Of each --{begin}"))
+            settings, kind = Parameter(group=Group(f"Of each --{begin}")), each.type
+            if name == self.field:
+                complete = lamps if name == "source" else None
+                kind = Annotated[list[Path], Parameter(converter=each_text, completer=complete)]
             found[begin if name == self.field else name] = Option(
-                Annotated[kind, settings], each.help, None
+                Annotated[kind, settings], each.help
             )
         return found
 
@@ -340,12 +342,8 @@ def listed(names: Iterable[str]) -> list[str]:
             found += (sorted(glob.glob(name)) if expands else []) or [name]
             continue
         content = in_utf8(read_bytes(name[1:], "a list of luminaires", _MAX_LIST_BYTES))
-        try:
-            text = os.fsdecode(content)
-        except UnicodeDecodeError:
-            raise LumitreeError(
-                f"{shown(name[1:], 300)} is not in UTF-8; save the list of luminaires in UTF-8"
-            ) from None
+        # Names of files may be bytes of any kind.
+        text = content.decode("utf-8", "surrogateescape")
         found += [line.strip() for line in text.split("\n") if line.strip()]
     return found
 
@@ -540,9 +538,6 @@ def _show_demo(result: Given, given: Given) -> None:
     print_open(Path(given.get("output", "demo-output")) / "comparison.png")
 
 
-_OUTPUTS = Option(
-    Annotated[list[Path], Parameter(converter=each_text, n_tokens=1, alias="-o")], "", None
-)
 _IMAGE = _file("Image to write: .exr, linear radiance; or .png, as --view shows it.", "-o", NEEDED)
 
 
@@ -618,18 +613,14 @@ COMMANDS: dict[str, Command] = {
         text="Describe an asset.",
     ),
     "evaluate": Command("evaluate", _evaluate, _show_evaluation),
-    "photometry": Command(
-        "photometry",
-        show=lambda result, _: print_photometry(result),
-        options=lambda: {"output": _OUTPUTS},
-    ),
+    "photometry": Command("photometry", show=lambda result, _: print_photometry(result)),
     "illuminance": Command(
         "illuminance",
         _illuminance,
         lambda result, given: print_illuminance(result, given.get("output", ())),
         lambda: {
             "output": dataclasses.replace(
-                _OUTPUTS,
+                options_of("photometry")["output"],
                 help="File to write: .csv or .json (each point), .png (plan in false colours with "
                 "isolux lines) or .pdf (plan and table); may be repeated.",
             ),

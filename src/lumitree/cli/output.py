@@ -4,7 +4,6 @@ import os
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from lumitree.core.photometry import flux_text
 from lumitree.errors import shown
 
 LONGEST_LINE = 1000
@@ -138,6 +137,8 @@ def _print_irradiance(irradiance: dict[str, Any] | None) -> None:
     _print_table("irradiance around the lamp, baked / explicit", heads, rows)
     # A comparison of two assets has none.
     if (flux := irradiance.get("flux")) is not None:
+        from lumitree.core.photometry import flux_text
+
         print(f"flux: {flux_text(flux['light_paths'], flux['light_paths_error'])} by light paths")
         if flux["camera_paths"] is not None:
             text = flux_text(flux["camera_paths"], flux["camera_paths_error"])

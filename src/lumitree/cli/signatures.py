@@ -69,7 +69,7 @@ def options_of(name: str) -> dict[str, Option]:
     return options
 
 
-def command(
+def with_signature(
     run: Callable[..., Any], summary: str, text: str, options: Mapping[str, Option]
 ) -> Callable[..., Any]:
     """`run` with the signature of a command; it gets the arguments that were given."""
@@ -160,6 +160,7 @@ def _joined(text: str) -> str:
 def _option_type(name: str, annotation: ast.expr, module: str) -> Any:
     """The type of an option for cyclopts; None if a command line has no values of the type."""
     text = ast.unparse(annotation).strip("'\"")
+    alias = "-o" if name == "output" else ()
     if name == "time":
         return Annotated[float | None, Parameter(converter=one(duration), metavar="T")]
     if name == "parts":
@@ -167,9 +168,8 @@ def _option_type(name: str, annotation: ast.expr, module: str) -> Any:
     if "LuminaireLike" in text or "Asset" in text:
         return Annotated[Path, Parameter(converter=one(str), completer=lamps)]
     if text.startswith(("FilePath | Sequence", "Sequence[FilePath")):
-        return Annotated[list[Path], Parameter(converter=each_text, n_tokens=1)]
+        return Annotated[list[Path], Parameter(converter=each_text, n_tokens=1, alias=alias)]
     if "FilePath" in text:
-        alias = "-o" if name == "output" else ()
         return Annotated[Path | None, Parameter(converter=one(str), alias=alias)]
     if "tuple[float" in text:
         counts = [text.count("float") - text.startswith("float"), *[1] * text.startswith("float")]
