@@ -18,6 +18,7 @@ slow: $(VENV)/.installed-dev
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/python tools/check_language.py
 	$(BIN)/pyright --pythonpath $(BIN)/python
 	$(BIN)/lint-imports
 
@@ -30,7 +31,7 @@ docs: $(VENV)/.installed-docs
 gallery: $(VENV)/.installed
 	$(BIN)/python docs/make_gallery.py
 
-# The tables of docs/paper.md, as far as they are not measured yet: hours on 2 CPU cores.
+# The tables of benchmarks/results/paper.md, as far as they are not measured yet: hours on 2 CPU cores.
 paper: $(VENV)/.installed-dev
 	$(BIN)/python -m benchmarks paper --scale cpu
 

@@ -3,8 +3,8 @@
 Every module of this folder is a benchmark of that name. The first line of its docstring says what
 it measures, and it has two functions:
 
-* `add_options(parser)` adds its options to an `argparse.ArgumentParser`. All benchmarks have those
-  of `common.options.add_common` as well;
+* `add_options(parser)` adds its options to an `argparse.ArgumentParser`. All benchmarks also have
+  the options of `common.options.add_common`;
 * `run(options)` measures with the parsed options, prints its tables, which include a ratio against
   a baseline measured in the same run, and writes its results with `common.results.Results`.
 

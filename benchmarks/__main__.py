@@ -28,7 +28,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one benchmark, or list all.
 
     Args:
-        argv: arguments without the program's name; by default those of the process.
+        argv: arguments without the program's name; None for the process's own.
 
     Returns:
         The exit status: 0, or 2 for bad input, which is explained in one line.

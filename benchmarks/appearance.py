@@ -5,7 +5,7 @@
 Each luminaire hangs in the demonstration's room; the image is cut to the pixels around its box.
 The reference is a long run of explicit geometry, and nothing is compared below its error. All
 methods render for the same CPU time. Errors are means over independent images: `rmse_display`
-(see `display_rmse`), `hdr_flip` and `psnr_mulaw`. *Mean* is that of the long runs over
+(see `display_rmse`), `hdr_flip` and `psnr_mulaw`. *Mean* is the long runs' mean over
 the reference's, and z the difference over its standard error; it is about 1 for an unbiased method.
 
 The field is the baseline of the last column, the ratio of `rmse_display`. Writes `appearance.md`

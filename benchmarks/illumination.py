@@ -1,4 +1,4 @@
-"""What lamps cost in a room, against an emissive sphere and against the explicit lamps.
+"""Cost of lamps in a room, against an emissive sphere and against the explicit lamps.
 
     python -m benchmarks illumination [--data FOLDER] [--assets FOLDER] [LUMINAIRE ...]
 
@@ -9,7 +9,7 @@ error); time of a sample over the sphere's and over the explicit lamp's; varianc
 that show diffuse surfaces, relative to their squared mean and without the 0.1 % of largest, over
 the sphere's; and the product of time and variance.
 
-Without a name, all built-in luminaires; `--data` adds those of a folder.
+Without a name, all built-in luminaires; `--data` adds a folder of luminaires.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""What many lamps cost in a furnished room, against one lamp in it.
+"""Cost of many lamps in a furnished room, against one lamp in it.
 
     python -m benchmarks large_rooms ASSET ... [--counts 20 200] [--rooms hall office]
 
@@ -175,7 +175,7 @@ def _row(case: Case, answers: list[Any]) -> dict:
 
 
 def _with_ratios(rows: list[dict]) -> list[dict]:
-    """The rows with their figures over those of the first."""
+    """The rows with their figures over the first row's."""
     first = rows[0]
     for row in rows:
         row["time_ratio"] = row["seconds"] / first["seconds"]

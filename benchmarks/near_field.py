@@ -4,7 +4,7 @@
 
 Irradiance of both sides of patches on planes across the lamp's box: four horizontal ones (3, 25, 50
 and 75 % of the box's height), one that touches the box from below (2 % below it) and two vertical
-ones. Of each plane the side with more light counts. The reference are light paths that cross the
+ones. The side of a plane with more light counts. The reference are light paths that cross the
 patches. Patches are *far* (more than a tenth of the box's longest half side from the lamp's
 surfaces) or *near*; those in closed parts of the lamp do not count. RMS differences are without the
 noise of either side, which needs two bakes. There are two ways to receive the light: with the
@@ -259,7 +259,7 @@ def _mean_line(rows: list[dict[str, Any]], way: str) -> list[str]:
 
 
 def _noise_ratio(found: dict[str, Any]) -> float | None:
-    """Time times variance of receivers in the box over that of those just outside it."""
+    """Time times variance of receivers in the box, over receivers just outside it."""
     noise = found["noise"]
     return noise and noise["inside"]["product"] / noise["outside"]["product"]
 

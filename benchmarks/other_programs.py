@@ -8,7 +8,7 @@ below the centre of the lamp and 2 box sizes wide, with that by `lumitree.illumi
 which sums the whole light field. "Program": the program itself opened the file and computed the
 illuminance: Radiance by `rtrace`, after `ies2rad` for IES files, and Cycles by an image of a white
 plane. "File": the benchmark read the written files by a reader of its own, and summed I cos θ / d²
-over their lights; no program opened them. What is not installed is named in the table: Radiance
+over their lights; no program opened them. The table names programs that are not installed: Radiance
 needs the extra `radiance`, USD the extra `usd`, and Cycles `--blender`, or the variable
 LUMITREE_BLENDER_PYTHON, a Python with the module bpy.
 """

@@ -6,7 +6,7 @@ Every cell writes its own file of `paper/SCALE/` into the results, and is not me
 its parameters are the same. Captures, training runs and assets that cells share are kept in
 `--work`. An interrupted run goes on with the same command. The scale `cpu` takes about 5 hours on 2
 cores, `paper` days on a GPU, `gpu` hours on one, and `test` minutes; `--list` shows the cells. At
-the end the page is written, by default docs/paper.md, with its images beside it in images/paper.
+the end the page `paper.md` is written into the results, with its images in paper/images.
 The baselines are the paper's own figures, black images, and the explicit lamp.
 """
 
@@ -25,11 +25,9 @@ from benchmarks.paper_tables.cells import Cell, Store
 from benchmarks.paper_tables.page import all_cells, write_page
 from benchmarks.paper_tables.scales import SCALE_NAMES, SCALES, ScaleName
 from benchmarks.paper_tables.work import OutOfTimeError, Work
-from lumitree.core.backend import load_mitsuba
-from lumitree.core.extras import check_network
+from lumitree.core.backend import check_network, load_mitsuba
 from lumitree.errors import LumitreeError
 
-PAGE = Path(__file__).parents[1] / "docs" / "paper.md"
 # Scales that the page shows together.
 SHOWN: tuple[ScaleName, ...] = ("cpu", "gpu", "paper")
 
@@ -144,7 +142,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--work", metavar="FOLDER", type=Path, default=Path("paper.work"))
     parser.add_argument(
-        "--page", metavar="FILE", type=Path, help="of the page (default: docs/paper.md)"
+        "--page", metavar="FILE", type=Path, help="of the page (default: paper.md of the results)"
     )
 
 
@@ -158,7 +156,7 @@ def chosen(cells: list[Cell], tables: list[int] | None, names: list[str] | None)
     unknown = [str(table) for table in tables or () if table not in numbers]
     unknown += [name for name in names or () if name not in known]
     if unknown:
-        raise LumitreeError(f"no cells of {', '.join(unknown)}; --list shows those of a scale")
+        raise LumitreeError(f"no cells of {', '.join(unknown)}; --list shows the cells of a scale")
     return [
         cell
         for cell in cells
@@ -175,8 +173,9 @@ def run(options: argparse.Namespace) -> None:
         shown = (name,)
     page = options.page
     if page is None:
-        page = PAGE if shown == SHOWN else Path(options.output) / "paper" / name / "page.md"
-    images = page.parent / "images" / "paper"
+        folder = Path(options.output)
+        page = folder / "paper.md" if shown == SHOWN else folder / "paper" / name / "page.md"
+    images = page.parent / "paper" / "images"
     setting = Setting(
         scale=name,
         results=Path(options.output),
@@ -195,7 +194,7 @@ def run(options: argparse.Namespace) -> None:
     stores: dict[ScaleName, Store] = {each: Store(setting.results, images, each) for each in shown}
 
     def show() -> None:
-        write_page(page, stores, setting.results)
+        write_page(page, stores)
 
     if not options.page_only:
         check_network()

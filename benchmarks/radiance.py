@@ -95,7 +95,7 @@ def compared(lux: Array, error: Array, baseline: Array, baseline_error: Array) -
 
     Args:
         lux, error: illuminance and its standard error.
-        baseline, baseline_error: those of Radiance.
+        baseline, baseline_error: the same by Radiance.
 
     Returns:
         `points` and `compared`, their numbers; `mean_lux` of the baseline; `ratio` of the means

@@ -12,11 +12,11 @@ left out.
 
 Figures of each method: CPU time of a sample a pixel; variance of a sample relative to the squared
 mean, in the mean over the pixels that show diffuse surfaces of the room, without the 0.1 % of
-largest; the product of both over that of the baked lamp; the mean brightness of these surfaces over
-that of the explicit lamp by `lumitree_path`; the CPU time of a whole image to an `rmse_display` of
-8, 5 and 2.7 by noise alone; the `rmse_display` that is left of it without noise, against that of
-the explicit lamp by `lumitree_path`; and the noise of diffuse surfaces in images that are denoised
-(optional extra `denoise`). Writes `rivals.md`, `rivals.json` and, for each luminaire,
+largest; the product of both over the baked lamp's; the mean brightness of these surfaces over the
+explicit lamp's by `lumitree_path`; the CPU time of a whole image to an `rmse_display` of 8, 5 and
+2.7 by noise alone; its `rmse_display` without noise, against the explicit lamp's image by
+`lumitree_path`; and the noise of diffuse surfaces in images that are denoised (optional extra
+`denoise`). Writes `rivals.md`, `rivals.json` and, for each luminaire,
 `rivals-LUMINAIRE.png`: the images of all methods at equal time.
 """
 
@@ -46,8 +46,8 @@ from lumitree.lamp.source import LuminaireSource
 
 LUMINAIRES = ("bulbs", "dallas", "neoclassical", "star")
 BASELINES = ("baked", "light")
-# What the brightness of images is compared with: of Mitsuba's integrators the one
-# that starts rays so near to surfaces that thin glass emits what it should, see
+# The reference of the brightness: among Mitsuba's integrators the one that starts rays so near to
+# surfaces that thin glass emits as much as it should, see
 # docs/decisions/media.md. It is noisy, and needs more time than the others: `--only`.
 REFERENCE = "lumitree-path"
 _COLUMNS = 4
@@ -207,15 +207,15 @@ def draw(path: Path, found: dict[str, Method], runs: dict[str, LongRun], seconds
     write_strip(path, panels, 0.3 / float(np.median(clean)), columns=_COLUMNS)
 
 
-# Of renderers, for the tables.
+# Notes on the renderers, for the tables.
 _NOTES = """\
 * The window of the room emits half the luminous flux of the lamp.
 * All renderers have the same meshes, camera and longest path, no clamping and no reconstruction
   filter. Glass, diffuse surfaces and emitters are the same; rough metals are microfacets of
   Beckmann in Mitsuba, and of Trowbridge and Reitz with an approximate Fresnel reflectance in the
   others. In Mitsuba these make the light of `bulbs` 2.0 % less. LuxCore's metals reflect all light
-  at grazing angles, and those of `little_lamp` are darker in Mitsuba: by this, or by the plastics,
-  LuxCore's images of it are 5 % brighter.
+  at grazing angles, and the metals of `little_lamp` are darker in Mitsuba: by this, or by the
+  plastics, LuxCore's images of it are 5 % brighter.
 * Mitsuba's `path` and `ptracer` start rays so far from surfaces that thin glass emits too much.
 * Russian roulette of LuxCore's BIDIRCPU is biased; late roulette starts at a depth of 12. Its
   Markov chains (Metropolis) start anew in each image of a few samples, which darkens.
@@ -223,7 +223,7 @@ _NOTES = """\
   Cycles has none, so that its opal glass is clear.
 * Path guiding of Cycles learns anew in each image of 32 samples.
 * Far field and point lights are small cells of a light field, which `lumitree_path` samples.
-* Variances above 100 are those of rare bright samples, and known to about a factor of 1.5.
+* Variances above 100 come from rare bright samples, and are known to about a factor of 1.5.
 
 """
 

@@ -70,6 +70,7 @@ OUTSIDE = (
     "SECURITY.md",
     "benchmarks/results/*.md",
     "benchmarks/results/*.png",
+    "benchmarks/results/paper/images/*.jpg",
 )
 
 
@@ -100,7 +101,7 @@ def link_outside(app, name, source):
         r"\]\((?:\.\./)*(ARCHITECTURE|CHANGELOG|CONTRIBUTING|SECURITY|benchmarks/results/\w+)\.md"
     )
     text = re.sub(outside, r"](/generated/\1.md", source[0])
-    source[0] = re.sub(r"\]\(docs/", "](/", text)
+    source[0] = re.sub(r"\]\((?:\.\./)*docs/", "](/", text)
 
 
 def link_gallery(app, name, source):
@@ -113,7 +114,7 @@ def link_gallery(app, name, source):
 
 def setup(app):
     app.connect("builder-inited", copy_outside, priority=1)
-    # In this order: links are those of Markdown.
+    # In this order: links are changed in Markdown.
     app.connect("source-read", read_notebook, priority=400)
     app.connect("source-read", link_outside)
     app.connect("source-read", link_gallery)

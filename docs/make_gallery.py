@@ -20,7 +20,7 @@ BAKES = DOCS / "generated" / "lamps"
 PAGES = DOCS / "generated" / "extra" / "gallery"
 THUMBNAILS = DOCS / "images" / "gallery"
 LARGEST_PAGE = 4_000_000
-# Of the images.
+# Width of the images, and samples per pixel.
 PIXELS, SAMPLES = 320, 128
 
 

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from lumitree.core import progress
-from lumitree.core.extras import check_network
+from lumitree.core.backend import check_network
 from lumitree.core.interruption import STOP_SIGNALS
 from lumitree.errors import LumitreeError
 from support.variant import VARIANT

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import lumitree
-from lumitree.core.dataset import Dataset
 from lumitree.errors import LumitreeWarning
+from lumitree.lamp.dataset import Dataset
 from support.slow import slow_but
 
 DATA = Path(os.environ.get("LUMITREE_DATA", Path(__file__).parents[1].parent / "shared" / "data"))

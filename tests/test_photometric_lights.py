@@ -9,7 +9,6 @@ import pytest
 
 import lumitree
 from lumitree.cli import main
-from lumitree.core.dataset import MANIFEST
 from lumitree.core.photometry import colour_temperature, luminance
 from lumitree.errors import LumitreeError
 from lumitree.formats.ies import write_ies
@@ -18,6 +17,7 @@ from lumitree.formats.opening import Opening
 from lumitree.formats.rays import Rays
 from lumitree.formats.tm25 import write_tm25
 from lumitree.formats.type_c import Grid, IntensityDistribution
+from lumitree.lamp.dataset import MANIFEST
 from lumitree.lamp.source import LuminaireSource, source_kind
 from lumitree.rendering.asset_cache import open_asset
 from lumitree.rendering.asset_flux import asset_watts

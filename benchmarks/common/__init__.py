@@ -1,1 +1,1 @@
-"""What the benchmarks share: options, setting, timing, tables and result files."""
+"""Shared by the benchmarks: options, setting, timing, tables and result files."""

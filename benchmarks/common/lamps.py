@@ -1,4 +1,4 @@
-"""Luminaires that a benchmark measures: built-in ones, and those of a folder."""
+"""Luminaires that a benchmark measures: built-in ones, and the luminaires of a folder."""
 
 import argparse
 from pathlib import Path
@@ -26,7 +26,7 @@ def add_luminaires(parser: argparse.ArgumentParser) -> None:
 
 
 def sources(names: list[str], data: Path | None) -> list[tuple[LuminaireSource, float]]:
-    """What to measure, and the metres in a unit of each."""
+    """The luminaires to measure, each with the metres in its unit."""
     found = [(LuminaireSource(name), 1.0) for name in names]
     if data is None:
         return found
@@ -37,6 +37,6 @@ def sources(names: list[str], data: Path | None) -> list[tuple[LuminaireSource, 
 
 
 def file_name(source: LuminaireSource) -> str:
-    """What the files of a luminaire are called; the folder tells apart files of one name."""
+    """Name of the files of a luminaire; files of one name differ by their folder."""
     path = Path(source.name)
     return path.stem if path.suffix == "" else f"{path.parent.name}-{path.stem}"

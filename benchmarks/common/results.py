@@ -37,7 +37,7 @@ class Results:
         return {**self._setting, "seconds": round(time.perf_counter() - self._start, 3)}
 
     def stored(self, default: Any) -> Any:
-        """What the JSON file holds, or `default` where there is none."""
+        """Content of the JSON file, or `default` where there is none."""
         if not self.json_path.is_file():
             return default
         return json.loads(self.json_path.read_text(encoding="utf-8"))

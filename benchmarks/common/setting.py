@@ -36,7 +36,7 @@ def setting(command: str, **details: object) -> dict[str, object]:
 
 
 def version(package: str) -> str:
-    """Of a package that may not be installed."""
+    """Version of a package that may not be installed."""
     try:
         return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:
@@ -46,7 +46,7 @@ def version(package: str) -> str:
 def command_line(argv: Sequence[str]) -> str:
     """The command as a shell takes it, without the machine's folders.
 
-    Of absolute paths and of those that leave the current folder only the last name is kept.
+    Absolute paths, and paths that leave the current folder, keep their last name only.
     """
     return "python -m benchmarks " + shlex.join(_portable(each) for each in argv)
 
@@ -71,7 +71,7 @@ def commit() -> str:
 
 
 def git(*command: str) -> str:
-    """What git prints, run in the folder of the benchmarks; nothing where that fails."""
+    """Output of git, run in the folder of the benchmarks; empty where that fails."""
     folder = str(Path(__file__).parents[1])
     try:
         run = subprocess.run(["git", "-C", folder, *command], capture_output=True, text=True)

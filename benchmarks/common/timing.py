@@ -75,5 +75,5 @@ def kernel(record: Callable[[], Any]) -> Job:
 
 
 def ratios(times: Mapping[str, float], baseline: str) -> dict[str, float]:
-    """Each time over that of the baseline, by name."""
+    """Each time over the baseline's, by name."""
     return {name: value / times[baseline] for name, value in times.items()}

@@ -30,7 +30,7 @@ _LIMIT = 1800.0
 
 @dataclasses.dataclass(frozen=True)
 class CyclesJob:
-    """What Cycles renders.
+    """An image that Cycles renders.
 
     Attributes:
         lamp: script of the lamp.
@@ -48,8 +48,8 @@ class CyclesJob:
         pixel_centres: whether a pixel shows its centre alone, and not the mean over its area.
         diffuse_bounces, bounces: largest numbers of diffuse bounces, and of all together.
         guiding: whether Cycles guides paths.
-        warm_up: whether the scene is prepared first, and seconds are those of the samples alone:
-            the time of an image of one sample is subtracted. There are 2 samples at least.
+        warm_up: whether the scene is prepared first, and seconds are for the samples alone: the
+            time of an image of one sample is subtracted. There are 2 samples at least.
     """
 
     lamp: str

@@ -1,6 +1,6 @@
 """Renders a lamp in a room by Cycles; run by Blender, with a JSON file as its argument.
 
-The keys of the file are those of `room.CyclesJob`.
+The keys of the file are the fields of `room.CyclesJob`.
 """
 
 import json

@@ -23,7 +23,7 @@ MIN_BATCHES, MAX_BATCHES = 8, 32
 MIN_RUNGS = 6
 # Packages of the code that an image of a baked lamp depends on.
 _SOURCES = ("rendering", "octree", "asset", "core")
-# Seeds of long runs start here; those of ladders stay below. Each run may have so many images.
+# Seeds of long runs start here; seeds of ladders stay below. Each run may have so many images.
 _LONG_SEEDS, _RUN_SEEDS, _RUNS = 1 << 14, 1 << 15, 1 << 15
 
 
@@ -63,7 +63,7 @@ class LongRun:
 
     @property
     def spp(self) -> int:
-        """Of all batches together."""
+        """Samples per pixel of all batches together."""
         return self.samples * len(self.batches)
 
     @property

@@ -82,7 +82,7 @@ def squared_difference(first: Floats, second: Floats, weights: Floats | float = 
 
 
 def ratio_of_means(first: Floats, second: Floats) -> Estimate:
-    """Mean of the pictures of one series of batches over that of another."""
+    """Mean of the pictures of one series of batches over the mean of another series."""
     means = [batches.mean(axis=(1, 2, 3), dtype=np.float64) for batches in (first, second)]
     relative = [each.std(ddof=1) / np.sqrt(len(each)) / each.mean() for each in means]
     ratio = float(means[0].mean() / means[1].mean())

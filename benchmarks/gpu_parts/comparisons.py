@@ -1,4 +1,4 @@
-"""What the device and the CPU estimate alike: images of lamps, irradiance, and light fields.
+"""Estimates of the device and of the CPU compared: images of lamps, irradiance, and light fields.
 
 Both devices measure at the same time, each in a process of its own and with its own random numbers.
 Each quantity has a z-test; all together have one significance.
@@ -214,7 +214,7 @@ def agreement(first: NDArray[np.floating], second: NDArray[np.floating]) -> dict
         `quantities`, their number with the sum; `largest_z`, the largest difference in standard
         errors; `p`, the probability of one as improbable as the least probable, if both estimate
         the same; `agrees`, whether it is at least `SIGNIFICANCE`; `ratio` and `ratio_error`, the
-        sum of `first` over that of `second` and its standard error; `not_finite`, the number of
+        sum of `first` over the sum of `second` and its standard error; `not_finite`, the number of
         values that are NaN or infinite: with one, nothing agrees, and what is not known is None.
     """
     a, b = (_with_sum(each) for each in (first, second))

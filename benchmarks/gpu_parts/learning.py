@@ -12,7 +12,7 @@ from benchmarks.paper_tables.scales import SCALES
 from benchmarks.paper_tables.scoring import score_asset, score_network
 from benchmarks.paper_tables.work import Work
 from lumitree.core.backend import GPU_VARIANT, load_rgb
-from lumitree.core.dataset import Dataset
+from lumitree.lamp.dataset import Dataset
 
 # Steps that tell the speed, and the part of the time left that is planned for steps: compiling
 # takes some of it again.

@@ -25,7 +25,7 @@ class SkippedError(Exception):
 
 @dataclasses.dataclass(frozen=True)
 class Context:
-    """What the process of a part knows.
+    """The setting of the process of a part.
 
     Attributes:
         sizes: how large everything is.

@@ -10,7 +10,7 @@ from benchmarks.gpu_parts.sizes import Sizes
 
 
 def all_parts(sizes: Sizes) -> list[Part]:
-    """The parts; those of the tests as the sizes have them."""
+    """The parts; the sizes determine the parts of tests."""
     first, *others = (
         Part(
             f"tests-{group}",

@@ -1,1 +1,1 @@
-"""What the benchmark of light inside a lamp's box needs: patches, their irradiance, a desk."""
+"""Parts of the benchmark of light inside a lamp's box: patches, their irradiance, a desk."""

@@ -23,7 +23,7 @@ from lumitree.trace.spawning import is_opaque, on_opposite_sides, scene_extent, 
 
 # Independent batches that an estimate is the mean of.
 BATCHES = 16
-# Of `Purpose.IRRADIANCE`; lumitree's own uses have smaller ones.
+# Draw of `Purpose.IRRADIANCE`; lumitree's own uses have smaller ones.
 _DRAW = 100
 _ROULETTE_DEPTH = 8
 

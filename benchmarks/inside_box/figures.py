@@ -103,7 +103,7 @@ def over_planes(errors: list[PatchErrors]) -> dict[str, float] | None:
 
 
 def shadow(baked: Floats, reference: Floats) -> dict[str, float] | None:
-    """Light in the darkest patches of a plane, over that of its brightest.
+    """Light in the darkest patches of a plane, over the light in its brightest.
 
     Args:
         baked: [P, P].

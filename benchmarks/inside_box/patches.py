@@ -70,7 +70,7 @@ class Rectangle:
 
 
 def surroundings(luminaire: Luminaire, rectangle: Rectangle) -> tuple[Floats, Floats]:
-    """What rays from the centres of the patches find.
+    """Surfaces that rays from the centres of the patches hit.
 
     Returns:
         [P, P] distance to the nearest surface of the luminaire, local units; and [P, P] share of

@@ -27,8 +27,8 @@ def received_irradiance(
     """Irradiance [N, 3] that the baked luminaires of a scene send to points straight.
 
     It is what a white diffuse surface there would scatter in an image of `lumitree_path`, by
-    next-event estimation and by rays of its BSDF, without what other surfaces reflect. Units: those
-    of radiance in the scene times sr.
+    next-event estimation and by rays of its BSDF, without what other surfaces reflect. Units:
+    radiance in the scene times sr.
 
     Args:
         scene: mi.Scene with luminaires placed.

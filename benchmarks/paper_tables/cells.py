@@ -20,14 +20,14 @@ from benchmarks.common.tables import Table
 from benchmarks.paper_tables.scales import Scale
 from benchmarks.paper_tables.work import Work, plain
 from lumitree.core.files import write_json
-from lumitree.core.stopwatch import peak_memory_bytes
+from lumitree.core.results import peak_memory_bytes
 
 State = Literal["done", "missing", "outdated"]
 
 
 @dataclasses.dataclass(frozen=True)
 class Measured:
-    """What a cell measured.
+    """Results of a cell.
 
     Attributes:
         values: JSON values by name.
@@ -74,7 +74,7 @@ class Store:
         return self.folder / f"{name}.json"
 
     def record(self, name: str) -> dict[str, Any] | None:
-        """What a cell's file holds, whatever its parameters; None if there is none."""
+        """Content of a cell's file, whatever its parameters; None if there is none."""
         path = self.path(name)
         return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
 
@@ -134,7 +134,7 @@ class Found:
 
     @property
     def missing(self) -> str:
-        """What stands in place of a value that has not been measured."""
+        """Stands in place of a value that has not been measured."""
         return "not measured on GPU" if self.scale.name in ("gpu", "paper") else "not measured yet"
 
     def values(self, cell: str) -> dict[str, Any]:
@@ -143,7 +143,7 @@ class Found:
         return {} if record is None else record["values"]
 
     def record(self, cell: str) -> dict[str, Any] | None:
-        """What a cell's file holds; None if it has not been measured."""
+        """Content of a cell's file; None if it has not been measured."""
         return self._store.record(cell)
 
     def has(self, *cells: str) -> bool:

@@ -10,7 +10,7 @@ from benchmarks.paper_tables.scales import Scale
 from benchmarks.paper_tables.scoring import bytes_of, costs, score_asset, test_views
 from benchmarks.paper_tables.work import Built, Work
 from lumitree.asset.file import load
-from lumitree.core.dataset import Dataset
+from lumitree.lamp.dataset import Dataset
 
 # PSNR (dB) and SSIM of the paper, by l_max.
 PAPER = {2: (27.7260, 0.8872), 3: (27.6958, 0.8860), 4: (27.7367, 0.8859)}

@@ -55,11 +55,11 @@ def cells(scale: Scale) -> list[Cell]:
 
 
 def measure(work: Work, changes: dict[str, Any]) -> Measured:
-    """A training with changed settings; the errors are those of the network itself."""
+    """A training with changed settings; the errors are the network's own, not its octree's."""
     run = work.run(LAMP, dataclasses.replace(work.scale.network, **changes))
     dataset = test_views(work, LAMP)
     scored = score_network(run.path, dataset)
-    # What the mask supervises is compared with the mask as well.
+    # The opacity, which the mask supervises, is compared with the mask as well.
     geometric = _rmse_of_masks(scored, dataset)
     values = {"metrics": scored.metrics, "opacity_rmse_geometric": geometric, "costs": costs(run)}
     return Measured(values, {"view": first_views(scored)})

@@ -125,10 +125,10 @@ def pace(method: Method) -> float:
 
 
 def _paced(method: Method) -> list[dict[str, Any]]:
-    """Rungs whose time is that of their samples in the long run.
+    """Rungs whose time is the time of their samples in the long run.
 
-    The fixed cost of a small image, about a second, is more than that of its first samples. It does
-    not grow with the size of an image.
+    The fixed cost of a small image, about a second, is more than the cost of its first samples. It
+    does not grow with the size of an image.
     """
     own = pace(method)
     return [
@@ -150,9 +150,9 @@ def readings(
 
     Returns:
         `levels`; `reference`, its own error; `floor`, twice that: below it, an error is not known
-        well enough, since the encoding of a noisy reference is darker than that of its mean; and
-        `methods`, by name. With another reference than the explicit lamp, the explicit lamp's time
-        is that of its long run where that has not reached a level, and `at_least` is true.
+        well enough, since a noisy reference is darker, encoded, than its mean; and `methods`, by
+        name. With another reference than the explicit lamp, the explicit lamp's time is the time of
+        its long run where this has not reached a level, and `at_least` is true.
     """
     runs = {
         name: (_paced(method), method.long.batches, method.long.seconds["cpu"])
@@ -208,6 +208,6 @@ def seconds_at(
 
 
 def speedup_of(methods: dict[str, Any], name: str, level: int) -> float | None:
-    """Seconds of the explicit lamp over those of a method; None where either has none."""
+    """Seconds of the explicit lamp over seconds of a method; None where either has none."""
     explicit, own = methods["explicit"]["seconds"][level], methods[name]["seconds"][level]
     return None if explicit is None or own is None else explicit / own

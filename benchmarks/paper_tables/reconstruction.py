@@ -152,7 +152,7 @@ def _all_metrics(found: Found) -> str:
                 numbers = [found.number(metrics.get(name), 4) for name in METRICS]
                 rows.append([lamp, title, *numbers])
     table = found.table(["lamp", "method", *METRICS], rows, 2)
-    return f"All [image metrics](decisions/metrics.md#image-metrics):\n\n{table}"
+    return f"All [image metrics](../../docs/decisions/metrics.md#image-metrics):\n\n{table}"
 
 
 def _images(found: Found) -> str:

@@ -90,7 +90,7 @@ class Scale:
 _SMALL = dataclasses.replace(TrainConfig.preview(), law="linear")
 
 SCALES: dict[ScaleName, Scale] = {
-    # Of the paper: Sec. 4.4, 5 and 6.1. The paper states neither its paths per pixel nor the
+    # The paper's: Sec. 4.4, 5 and 6.1. The paper states neither its paths per pixel nor the
     # resolution of Table 5.
     "paper": Scale(
         name="paper",

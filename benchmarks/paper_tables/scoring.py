@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from benchmarks.paper_tables.pictures import views as picture
 from benchmarks.paper_tables.work import Built, Work
 from lumitree.asset.file import load
-from lumitree.core.dataset import Dataset, Frame
-from lumitree.core.directions import orthographic_rays
+from lumitree.core.frames import orthographic_rays
+from lumitree.lamp.dataset import Dataset, Frame
 
 if TYPE_CHECKING:
     from lumitree.fit.network.trained_field import TrainedField
@@ -29,14 +29,14 @@ def large_views(work: Work, lamp: str) -> Dataset:
 
 
 def score_asset(asset: Path, dataset: Dataset) -> "Evaluation":
-    """Of the field of an asset: the renderer's exact traversal."""
+    """Errors of the field of an asset, by the renderer's exact traversal."""
     from lumitree.measure.view_errors import evaluate_views
 
     return evaluate_views(load(asset), dataset)
 
 
 def score_network(run: Path, dataset: Dataset) -> "Evaluation":
-    """Of the networks themselves, a ray through each pixel's centre, as they were trained."""
+    """Errors of the networks themselves, by a ray through each pixel's centre, as in training."""
     from lumitree.fit.network.trained_field import load_field
     from lumitree.measure.view_errors import compare_views
 

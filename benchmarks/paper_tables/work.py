@@ -18,12 +18,12 @@ import numpy as np
 import lumitree
 from benchmarks.equal_error.batches import digest
 from benchmarks.paper_tables.scales import Direct, Scale, Views
-from lumitree.core.dataset import Split
 from lumitree.core.files import write_json
 from lumitree.core.interruption import Interrupted
-from lumitree.core.stopwatch import peak_memory_bytes
+from lumitree.core.results import peak_memory_bytes
 from lumitree.fit.config import BakeConfig
 from lumitree.fit.network.config import TrainConfig
+from lumitree.lamp.dataset import Split
 
 COSTS = "costs.json"
 # Steps of training that tell its speed, and the least that is worth starting.

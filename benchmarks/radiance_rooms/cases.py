@@ -11,7 +11,7 @@ from benchmarks.radiance_rooms.rooms import Box, furniture, walls
 from lumitree.formats.opening import Opening
 from lumitree.formats.type_c import Grid, IntensityDistribution
 
-# Of the angles C and gamma, radians.
+# A function of the angles C and gamma, radians.
 Intensity = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
 # Step of the files, degrees.
 _STEP = 5.0

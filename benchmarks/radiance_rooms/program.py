@@ -1,7 +1,7 @@
 """Radiance: conversion of photometric files, and illuminance at points.
 
 Radiance has z up: (x, y, z) here is (x, -z, y) there. Its convention for the luminous efficacy is
-179 lm/W, and the luminances of its primaries are not those of sRGB.
+179 lm/W, and its primaries have other luminances than sRGB's.
 """
 
 import dataclasses
@@ -23,8 +23,8 @@ LUMA = (0.265074126, 0.670114631, 0.064811243)
 _DIRECT = "-dj .9 -dt 0 -dc 1 -dp 0 -st 0"
 # Largest parts of light sources over their distance: for direct light alone, and else.
 _FINE, _COARSE = 0.02, 0.1
-# No interpolation of indirect light. The limit of all reflections (-lr) has to be above that of
-# diffuse ones.
+# No interpolation of indirect light. The limit of all reflections (-lr) has to be above the
+# limit of diffuse ones.
 _INDIRECT = "-aa 0 -as 0 -lw 1e-8 -u+"
 
 

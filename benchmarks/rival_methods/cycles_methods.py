@@ -97,5 +97,5 @@ def cycles_methods(luminaire: Any, asset: Any, room: Room, program: str) -> list
     ]
 
 
-# Of the export.
+# Point lights of the export.
 _LIGHTS = 16

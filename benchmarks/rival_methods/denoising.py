@@ -14,7 +14,7 @@ _GUIDE_SAMPLES = 64
 
 @dataclasses.dataclass(frozen=True)
 class Guides:
-    """What guides the filter, the same for all methods.
+    """Images that guide the filter, the same for all methods.
 
     Attributes:
         albedo: float32 [H, W, 3], diffuse reflectance.
@@ -26,7 +26,7 @@ class Guides:
 
     @staticmethod
     def of(scene: Any) -> "Guides":
-        """Those of a scene (mi.Scene) with the explicit lamp."""
+        """Guides of a scene (mi.Scene) with the explicit lamp."""
         mi = load_mitsuba()
         aov = mi.load_dict({"type": "aov", "aovs": "albedo:albedo,normal:sh_normal"})
         image = np.array(mi.render(scene, integrator=aov, spp=_GUIDE_SAMPLES, seed=0))
@@ -43,7 +43,7 @@ def denoised_noise(
     """Noise on diffuse surfaces of denoised images that cost about so much.
 
     Two disjoint groups of images are averaged and filtered; the squared noise is half the squared
-    difference. What the filter does to both alike is not in it.
+    difference. It leaves out changes by the filter that both have in common.
 
     Args:
         run: images of a method, 2 at least.

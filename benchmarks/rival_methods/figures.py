@@ -1,4 +1,4 @@
-"""What independent images of a method say of its cost, its noise and its brightness."""
+"""Cost, noise and brightness of a method, from its independent images."""
 
 import dataclasses
 import math
@@ -52,11 +52,10 @@ class Figures:
         milliseconds: CPU time of a sample of all pixels, ms.
         variance: of a sample, relative to the squared mean, in the mean over diffuse surfaces
             without the 0.1 % of the pixels with the largest.
-        mean: mean brightness of diffuse surfaces over that of the reference.
+        mean: mean brightness of diffuse surfaces over the reference's.
         display: time of whole images; empty for a method that does not show the lamp.
-        display_bias: square of the `rmse_display` that is left of whole images without noise,
-            against those of the reference; None for the reference, and for a method that does not
-            show the lamp.
+        display_bias: square of the `rmse_display` of whole images against the reference's, both
+            without noise; None for the reference, and for a method that does not show the lamp.
         samples: per pixel, of all images.
         images: number of images.
         seconds: CPU seconds of all images.
@@ -78,7 +77,7 @@ class Figures:
 
     @property
     def verdict(self) -> str:
-        """Whether the mean brightness is that of the reference: "agrees", "biased" or "unknown"."""
+        """Whether the mean brightness "agrees" with the reference's, is "biased" or "unknown"."""
         off, doubt = abs(self.mean.value - 1), _SIGMAS * self.mean.error
         if off + doubt <= TOLERANCE or (off <= TOLERANCE and self.mean.error <= TOLERANCE / 2):
             return "agrees"
@@ -190,7 +189,7 @@ def display_weights(whole: NDArray[np.floating]) -> NDArray[np.float64]:
 def display_variance(run: LongRun, whole: NDArray[np.floating]) -> float:
     """Variance of a sample on the scale of `rmse_display`, in the mean over pixels.
 
-    It is that of small noise, as images have it at `DISPLAY_LEVELS`, about the image `whole`
+    It holds for small noise, as images have it at `DISPLAY_LEVELS`, about the image `whole`
     [H, W, 3].
     """
     variance = run.batches.var(0, ddof=1, dtype=np.float64)

@@ -157,7 +157,7 @@ def material_properties(name: str, material: Material) -> Properties:
     """Properties of a material and of its nested materials.
 
     Metals have their reflectance at normal incidence, which rises to 1 at grazing angles. Plastics
-    have a coat over a diffuse base, whose reflectance at normal incidence is that of their index.
+    have a coat over a diffuse base; their index gives its reflectance at normal incidence.
     LuxCore's microfacets have the distribution of Trowbridge and Reitz.
 
     Raises:

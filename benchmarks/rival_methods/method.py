@@ -1,4 +1,4 @@
-"""What all methods of rendering have in common, and the images that they have made so far."""
+"""A method of rendering, and the images that it has made so far."""
 
 import dataclasses
 import math
@@ -108,5 +108,5 @@ def extend(run: LongRun, method: Method, seconds: float) -> None:
             if run.seconds["cpu"] > before:
                 run.save()
         if run.seconds["cpu"] <= before:
-            # Of small images that of one sample, which is subtracted, may have taken as long.
+            # A small image of one sample, whose time is subtracted, may have taken as long.
             raise LumitreeError(f"{method.label} has rendered images in no measurable time")

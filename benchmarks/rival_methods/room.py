@@ -11,7 +11,7 @@ from lumitree.asset.geometry import AssetGeometry
 from lumitree.core.photometry import flux_from_radiance, luminance
 
 _PLASTICS = ("plastic", "roughplastic")
-# Luminous flux of the window over that of the lamp: lamps of files may have any unit of power.
+# Luminous flux of the window over the lamp's: lamps of files may have any unit of power.
 _WINDOW_SHARE = 0.5
 
 

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from lumitree.asset.asset import PARTS
 from lumitree.core.backend import load_rgb
 from lumitree.core.files import write_json
-from lumitree.core.image_settings import image_settings
+from lumitree.core.images import image_settings
 from lumitree.core.interruption import Interrupted
-from lumitree.core.stopwatch import peak_memory_bytes
+from lumitree.core.results import peak_memory_bytes
 from lumitree.errors import LumitreeError
 from lumitree.fit.bake import bake
 from lumitree.fit.config import BakeConfig

@@ -136,21 +136,6 @@ def test_light_field(ran, monkeypatch):
 
 
 @pytest.mark.slow
-def test_many_lamps_in_rounds_continues(ran):
-    arguments = ["--work", "work", "--lamps", "1", "--workers", "1", "--rounds", "2"]
-    for _ in range(2):
-        found, page = ran("many_lamps", *arguments)
-    (row,) = found["bakes"]
-    assert len(row["rounds"]) == row["calls"] == 2
-    assert row["seconds"] == pytest.approx(sum(row["rounds"]))
-    assert row["peak_bytes"] > 1e8
-    assert found["folder"]["bytes"]["assets"] > 1000
-    assert "efficiency" in page
-    first, second = (Path(f"work/round-{k}/lamps/lamp-00000.xml") for k in (1, 2))
-    assert first.read_text() != second.read_text()
-
-
-@pytest.mark.slow
 def test_near_field(ran, monkeypatch):
     tiny_bakes.set_qualities(monkeypatch.setattr, light=LightFieldConfig(1 << 18, batch=1 << 18))
     monkeypatch.setattr(baked, "_RECEIVERS", 1 << 10)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import lumitree
-from lumitree.core import extras
+from lumitree.core import backend
 from support.lamps import BALL, room
 
 TESTS = Path(__file__).parents[1]
@@ -96,8 +96,8 @@ def test_commands_of_the_network_say_what_to_install(tmp_path, line):
 
 def test_only_what_is_missing_is_named(monkeypatch):
     modules = {"json": "a", "no_such_module": "b", "no_such.module": "c", "json.decoder": "d"}
-    monkeypatch.setattr(extras, "NETWORK", modules)
+    monkeypatch.setattr(backend, "NETWORK", modules)
     with pytest.raises(lumitree.LumitreeError, match=r"not installed \(b, c\); install"):
-        extras.check_network()
-    monkeypatch.setattr(extras, "NETWORK", {"json": "a"})
-    extras.check_network()
+        backend.check_network()
+    monkeypatch.setattr(backend, "NETWORK", {"json": "a"})
+    backend.check_network()

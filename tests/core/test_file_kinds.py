@@ -1,4 +1,4 @@
-"""What a file is, for messages."""
+"""The kind of a file, for messages; and its encoding."""
 
 import io
 
@@ -9,7 +9,7 @@ from PIL import Image
 
 import lumitree
 from lumitree.cli import main
-from lumitree.core.file_kinds import what_it_is
+from lumitree.core.file_kinds import in_utf8, what_it_is
 
 
 def png():
@@ -90,3 +90,18 @@ def test_other_places_name_it_too(mi, tmp_path, monkeypatch, capsys):
     (tmp_path / "c.exr").write_bytes(content[:20])
     assert main(["mix", "c.exr", "-o", "b.png"]) == 2
     assert "it is" not in capsys.readouterr().err
+
+
+LINES = ["v 1 2 3", "# Küche", "", "f 1 2 3"]
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r", "\r\r\n"])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"])
+def test_encodings_and_line_ends(encoding, end):
+    content = end.join(LINES).encode(encoding)
+    assert in_utf8(content).decode().split("\n") == LINES
+
+
+def test_bytes_of_other_encodings_are_left():
+    assert in_utf8("# Küche".encode("latin-1")) == b"# K\xfcche"
+    assert in_utf8(b"") == b""

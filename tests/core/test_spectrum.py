@@ -10,11 +10,11 @@ from lumitree.core.photometry import (
     blackbody_spectrum,
     chromaticity_difference,
     luminance,
+    sampled_spectrum,
     srgb_from_xyz,
     xyz_of_spectrum,
     xyz_temperature,
 )
-from lumitree.core.spectrum import sampled_spectrum
 from lumitree.errors import LumitreeError
 
 

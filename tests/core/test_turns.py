@@ -5,8 +5,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
+from lumitree.core.backend import in_turn, passed_on
 from lumitree.core.executor import run_tasks
-from lumitree.core.turns import in_turn, passed_on
 from lumitree.errors import LumitreeError
 
 running = []

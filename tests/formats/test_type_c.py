@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lumitree.core.directions import halton_direction
+from lumitree.core.frames import halton_direction
 from lumitree.errors import LumitreeError
 from lumitree.formats.opening import Opening
 from lumitree.formats.type_c import (

@@ -6,7 +6,7 @@ import mitsuba as mi
 import numpy as np
 
 from lumitree.core.backend import load_mitsuba
-from lumitree.core.directions import pose_towards
+from lumitree.core.frames import pose_towards
 from lumitree.errors import LumitreeError, explained
 from lumitree.formats import light_sources
 from lumitree.lamp.luminaire import load_luminaire

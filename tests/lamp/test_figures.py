@@ -1,18 +1,11 @@
-"""A lamp's figures are those of the scene it becomes."""
+"""Figures of a model: numbers of triangles and emitters, radiance, size."""
 
 import numpy as np
 import pytest
 
 from lumitree.asset.materials import VertexColours
 from lumitree.lamp.meshes import Mesh
-from lumitree.lamp.parts import (
-    Diffuse,
-    Geometry,
-    Material,
-    Part,
-    Texture,
-    figures,
-)
+from lumitree.lamp.parts import Diffuse, Geometry, Material, Part, Texture, figures
 
 TRIANGLE = Mesh(
     np.array([[0.0, 0, 0], [1, 0, 0], [0, 2, 0]]),

@@ -1,4 +1,4 @@
-"""What surfaces emit that are not everywhere present."""
+"""Emission of surfaces with an opacity mask."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What Mitsuba creates but cannot evaluate is one line, which names the shape and the plugin."""
+"""Plugins that Mitsuba creates but cannot evaluate are refused; the message names the shape."""
 
 import numpy as np
 import pytest

@@ -97,7 +97,7 @@ def test_microfacets_are_those_of_ggx(mi, tmp_path, surface, plugin):
 
     single = reflected(mi.load_dict({**plugin, "distribution": "ggx", "alpha": 0.36}))
     assert (single > 1.2 * reflected(mi.load_dict({**plugin, "alpha": 0.36}))).all()
-    # What is scattered more than once is a part of the diffuse lobe.
+    # Light that is scattered more than once is a part of the diffuse lobe.
     context = mi.BSDFContext()
     context.type_mask = mi.BSDFFlags.Glossy
     found = np.array(si.bsdf().eval(context, si, out)).ravel()

@@ -90,7 +90,7 @@ def rows(mi, values):
 
 
 def seen(mi, loaded):
-    """What rays from all sides meet in a scene: places, normals and scattered light."""
+    """Places, normals and scattered light at the hits of rays from all sides."""
     random = np.random.default_rng(1)
     count = 4096
     origin = random.normal(size=(3, count)) * 3 + [[1], [0], [0]]
@@ -247,7 +247,7 @@ def test_stretched_instances_of_a_sphere_are_refused(luminaire):
 
 @pytest.mark.parametrize("normals", [False, True])
 def test_mirrored_instances_keep_their_outside(mi, luminaire, tmp_path, normals):
-    """Mitsuba turns the normals of meshes that are mirrored, and not those of such instances."""
+    """Mitsuba turns the normals of mirrored meshes, but not of mirrored instances."""
     arrays = {"vertices": [[0, 0, 0], [1, 0, 0], [0, 1, 0]], "faces": [[0, 1, 2]]}
     mesh = make_mesh("triangle", arrays | {"normals": [[0, 0, 1]] * 3 if normals else None})
     mesh.write_ply(str(tmp_path / "triangle.ply"))
@@ -267,7 +267,7 @@ def test_mirrored_instances_keep_their_outside(mi, luminaire, tmp_path, normals)
 
 
 def test_instances_are_stored_as_copies(luminaire, monkeypatch):
-    """Of a box and a ball, each with a place of its own in the group."""
+    """A group has a box and a ball, each with its transform."""
     places = [
         '<scale value="0.5"/><rotate y="1" angle="30"/><translate x="2"/>',
         '<scale value="0.3"/><translate x="-2" y="1"/>',

@@ -5,7 +5,7 @@ import warnings
 import pytest
 
 from lumitree.asset.asset import light_field_asset
-from lumitree.core.stopwatch import Stopwatch
+from lumitree.core.results import Stopwatch
 from lumitree.errors import LumitreeWarning
 from lumitree.fit.light_field.bake import bake_light_field
 from lumitree.measure.irradiance_check import measure_irradiance

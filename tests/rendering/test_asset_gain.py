@@ -34,7 +34,7 @@ def brighter(asset):
 
 
 def test_every_use_of_an_asset_has_it(mi, asset):
-    from lumitree.core.directions import pose_towards
+    from lumitree.core.frames import pose_towards
 
     pose = pose_towards((0.3, 0.4, 0.5), (0, 1, 0), 4.0)
     image, opacity = baked_image(asset, pose, 1.5, 24)

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from lumitree.core.directions import pose_towards
+from lumitree.core.frames import pose_towards
 from lumitree.core.images import tonemap
 from lumitree.lamp.stored_geometry import stored_geometry
 from support.fields import uniform_asset

@@ -10,9 +10,9 @@ import sys
 import jax
 import numpy as np
 
-from lumitree.core.dataset import Dataset
 from lumitree.fit.network.rays import load_rays
 from lumitree.fit.network.step import initial_state, make_step, ray_mesh, state_sharding
+from lumitree.lamp.dataset import Dataset
 from support.sphere import TINY
 
 

@@ -54,7 +54,7 @@ def write_lamps(folder, baked):
 
     import lumitree
     from lumitree.asset.asset import EmittedSpectrum, light_field_asset
-    from lumitree.core.spectrum import sampled_spectrum
+    from lumitree.core.photometry import sampled_spectrum
     from support.fields import random_asset
     from support.lamps import GLASS, scene, sphere
     from support.light_fields import random_light_field

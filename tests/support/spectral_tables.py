@@ -14,10 +14,10 @@ def facts(variant):
         FILM_LUMINANCE,
         LUMA,
         blackbody_spectrum,
+        sampled_spectrum,
         srgb_from_xyz,
         xyz_of_spectrum,
     )
-    from lumitree.core.spectrum import sampled_spectrum
     from support.fields import random_asset
     from support.light_fields import random_light_field
 

@@ -5,10 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from lumitree.core.dataset import Dataset, Frame, Manifest, View
-from lumitree.core.directions import orthographic_rays, view_pose
-from lumitree.core.frames import LocalFrame
+from lumitree.core.frames import LocalFrame, orthographic_rays, view_pose
 from lumitree.fit.network.config import TrainConfig
+from lumitree.lamp.dataset import Dataset, Frame, Manifest, View
 
 RADIUS = 0.6
 CENTRE = np.array([0.3, 0.1, 0.0])

@@ -5,8 +5,13 @@ import warnings
 import numpy as np
 import pytest
 
-from lumitree.core.photometry import WAVELENGTHS, blackbody_spectrum, luminance, xyz_of_spectrum
-from lumitree.core.spectrum import sampled_spectrum
+from lumitree.core.photometry import (
+    WAVELENGTHS,
+    blackbody_spectrum,
+    luminance,
+    sampled_spectrum,
+    xyz_of_spectrum,
+)
 from lumitree.errors import LumitreeError
 from lumitree.trace.flux import emitted_spectrum
 from support.lamps import AREA, lamp_of, scene, sphere

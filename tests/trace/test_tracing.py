@@ -110,7 +110,7 @@ def test_medium_that_is_clear_in_one_channel_scatters_in_the_others(mi, tmp_path
 
 def test_emitters_through_which_light_passes_are_seen(mi, tmp_path):
     """Rays meet nothing but null surfaces."""
-    from lumitree.core.directions import pose_towards
+    from lumitree.core.frames import pose_towards
     from lumitree.trace.cameras import Camera
     from support.traced_lamps import stream
 

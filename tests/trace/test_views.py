@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from lumitree.core.dataset import Dataset
 from lumitree.errors import LumitreeError
+from lumitree.lamp.dataset import Dataset
 
 SPHERE = (
     '<shape type="sphere"><float name="radius" value="2"/>'
@@ -169,7 +169,7 @@ def test_test_views_are_not_train_views(luminaire, tmp_path):
 
 def test_rays_of_the_camera_are_those_of_the_dataset(luminaire, tmp_path):
     """What the network trains on (core.sampling) is what Mitsuba traced: a lit corner says so."""
-    from lumitree.core.directions import orthographic_rays
+    from lumitree.core.frames import orthographic_rays
 
     spot = SPHERE.replace('"2"', '"0.05"').replace("5,1,0", "0.9,0.5,-0.3")
     box = '<shape type="cube"><bsdf type="null"/></shape>'

@@ -331,8 +331,8 @@ def luminaire(text: str, given: Given) -> Any:
 
 def listed(names: Iterable[str]) -> list[str]:
     """The names, with those that the file of a name @FILE lists in its place."""
+    from lumitree.core.file_kinds import in_utf8
     from lumitree.core.reading import read_bytes
-    from lumitree.core.text import in_utf8
 
     found: list[str] = []
     for name in names:

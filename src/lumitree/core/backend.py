@@ -1,24 +1,31 @@
-"""Selection of libLLVM and loading of Mitsuba; no other module does either.
+"""Mitsuba in this process: its libLLVM, its variant, one thread at a time; and optional packages.
 
 Mitsuba's CPU variants compile kernels with libLLVM, and load it when `mitsuba` is first imported.
 Debian's versions 14 to 16 abort the process on machines with AVX-512. On Linux x86-64 lumitree
 therefore depends on a tested library (the package `karellen-llvm-core`), and passes its path to
 Dr.Jit before that import. On other systems it passes the newest one where installers put them. A
-value of DRJIT_LIBLLVM_PATH that the user has set is kept.
+value of DRJIT_LIBLLVM_PATH that the user has set is kept. No other module loads Mitsuba.
+
+Calls of several threads wait for each other (`in_turn`): the state of Mitsuba belongs to a process,
+and Dr.Jit traces the methods of all objects of the process, also of objects that another thread is
+just creating, in any scene.
 """
 
 import contextlib
+import functools
 import glob
 import importlib
+import importlib.util
 import os
 import re
 import sys
+import threading
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, cast
 
-from lumitree.errors import LumitreeError, LumitreeWarning, shown
+from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown
 
 CPU_VARIANT = "llvm_ad_rgb"
 GPU_VARIANT = "cuda_ad_rgb"
@@ -259,3 +266,102 @@ def _version_in(path: str) -> int:
         # libLLVM.so.1 is in a folder with the version of LLVM.
         return int(folders[-1]) if folders else 0
     return int(name[1])
+
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+_lock = threading.Lock()
+# The thread that holds the lock.
+_holder: int | None = None
+
+
+@contextlib.contextmanager
+def turn() -> Iterator[None]:
+    """Context that only one thread of the process is in; a thread may enter it again."""
+    global _holder
+    if _holder == threading.get_ident():
+        yield
+        return
+    _lock.acquire()
+    _holder = threading.get_ident()
+    try:
+        yield
+    finally:
+        # A signal may have ended `passed_on` while it waited.
+        if _holder == threading.get_ident():
+            _holder = None
+            _lock.release()
+
+
+@contextlib.contextmanager
+def passed_on() -> Iterator[None]:
+    """Context in which other threads may have the turn of this one, which waits for them."""
+    global _holder
+    if _holder != threading.get_ident():
+        yield
+        return
+    _holder = None
+    _lock.release()
+    try:
+        yield
+    finally:
+        _lock.acquire()
+        _holder = threading.get_ident()
+
+
+def in_turn(function: F) -> F:
+    """Decorator of public functions that compute with Mitsuba: `explained`, and by `turn`."""
+
+    @functools.wraps(function)
+    def run(*args: Any, **kwargs: Any) -> Any:
+        with turn():
+            return function(*args, **kwargs)
+
+    return cast(F, explained(run))
+
+
+# Packages by the name of the module that is imported.
+NETWORK = {
+    "jax": "jax",
+    "flax": "flax",
+    "optax": "optax",
+    "orbax.checkpoint": "orbax-checkpoint",
+}
+
+
+# Those of work on several machines.
+CLUSTER = {"distributed": "distributed"}
+
+
+def check_network() -> None:
+    """Refuse to use the network without its packages, before any work is done.
+
+    It imports none of them.
+
+    Raises:
+        LumitreeError: a package is not installed.
+    """
+    _check("the network needs", NETWORK, "network")
+
+
+def check_cluster() -> None:
+    """Refuse to use a Dask scheduler without its package; imports nothing."""
+    _check("a Dask scheduler needs", CLUSTER, "cluster")
+
+
+def _check(what: str, packages: dict[str, str], extra: str) -> None:
+    """Refuse what needs packages, by module, of which one is not installed."""
+    missing = [package for module, package in packages.items() if not _is_installed(module)]
+    if missing:
+        raise LumitreeError(
+            f"{what} packages that are not installed ({', '.join(missing)}); install "
+            f"them with `pip install 'lumitree[{extra}]'`"
+        )
+
+
+def _is_installed(module: str) -> bool:
+    try:
+        return importlib.util.find_spec(module) is not None
+    except ModuleNotFoundError:
+        # The package that contains the module is missing.
+        return False

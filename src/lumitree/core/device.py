@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 # Dr.Jit may read this many values beyond an array's end: a packet of the widest vector unit.
 _PACKET = 64
-# Bytes. Kernels differ by whether arrays begin at a multiple of it, where NumPy puts some only.
+# Bytes. Dr.Jit compiles a different kernel for unaligned arrays, and NumPy aligns only some.
 _ALIGNMENT = 64
 
 

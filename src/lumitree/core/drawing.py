@@ -1,10 +1,12 @@
 """Layout of all figures, and figures of images: grids, strips, luminance; files of them."""
 
+import contextlib
 import dataclasses
 import io
 import os
 import textwrap
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +21,6 @@ from matplotlib.ticker import LogFormatter
 from numpy.typing import NDArray
 
 from lumitree.core.files import write_bytes
-from lumitree.core.text import any_characters
 from lumitree.core.view_transform import View, displayed
 
 _DPI = 100
@@ -232,3 +233,14 @@ def pdf_file(pages: Sequence[Figure]) -> bytes:
         for page in pages:
             file.savefig(page)
     return stream.getvalue()
+
+
+@contextlib.contextmanager
+def any_characters() -> Iterator[None]:
+    """Context in which Matplotlib draws a box for a character that its font lacks, silently.
+
+    Names of files and lamps may be Chinese; the font of figures has Latin, Greek and Cyrillic.
+    """
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from", UserWarning)
+        yield

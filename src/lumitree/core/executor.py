@@ -34,7 +34,7 @@ import numpy as np
 from lumitree._version import __version__
 from lumitree.core import backend
 from lumitree.core.arguments import check_count
-from lumitree.core.extras import check_cluster
+from lumitree.core.backend import check_cluster, passed_on, turn
 from lumitree.core.interruption import (
     begin_worker,
     interruptible,
@@ -42,7 +42,6 @@ from lumitree.core.interruption import (
     stop_signals_blocked,
 )
 from lumitree.core.progress import reporting
-from lumitree.core.turns import passed_on, turn
 from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown
 
 R = TypeVar("R")

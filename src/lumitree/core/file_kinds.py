@@ -1,11 +1,9 @@
-"""The kind of a file, by its first bytes and its suffix, for messages about other kinds."""
+"""The kind and the encoding of a file, by its first bytes and its suffix."""
 
 import codecs
 import os
 import re
 from pathlib import Path
-
-from lumitree.core.text import in_utf8
 
 ASSET, EXR = "a lumitree asset", "an OpenEXR image"
 SCENE, XML = "a Mitsuba scene", "an XML file"
@@ -102,3 +100,33 @@ def _is_text(start: bytes) -> bool:
     except UnicodeDecodeError:
         return False
     return all(char.isprintable() or char.isspace() for char in text)
+
+
+# UTF-16 without a byte order mark is recognised by this part of a file.
+_PROBE = 400
+
+
+def in_utf8(content: bytes) -> bytes:
+    """The text of a file without its byte order mark, lines ending in \\n.
+
+    UTF-16, with or without a byte order mark, becomes UTF-8. Other encodings are left: UTF-8, or
+    one of single bytes.
+    """
+    if (encoding := utf16_encoding(content)) is not None:
+        content = content.decode(encoding, "replace").encode("utf-8", "replace")
+    content = content.removeprefix(b"\xef\xbb\xbf")
+    if b"\r" in content:
+        # Some programs write \r\r\n.
+        content = content.replace(b"\r\r\n", b"\n").replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    return content
+
+
+def utf16_encoding(content: bytes) -> str | None:
+    """Name of the encoding of UTF-16, with or without a byte order mark; None for others."""
+    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return "utf-16"
+    start = content[:_PROBE]
+    if start.count(0) <= len(start) / 4:
+        return None
+    # ASCII in UTF-16: every other byte is 0.
+    return "utf-16-le" if start[1::2].count(0) > start[::2].count(0) else "utf-16-be"

@@ -25,7 +25,6 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import NoReturn
 
-from lumitree.core.text import check_utf8
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 
 try:
@@ -121,6 +120,19 @@ def json_text(value: object, indent: int | None = None) -> str:
         raise LumitreeError(
             f"a number of the results is not finite, and no file is written ({error}); check the "
             "lamp and its images for colours that are not numbers"
+        ) from None
+
+
+def check_utf8(path: str | os.PathLike[str]) -> None:
+    """Refuse the name of a file that is not UTF-8.
+
+    Mitsuba, OpenEXR and Matplotlib take no other, each with an exception of its own.
+    """
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        raise LumitreeError(
+            f"the name {shown(path, 300)} is not valid UTF-8; rename it, or choose another"
         ) from None
 
 

@@ -1,6 +1,7 @@
-"""OpenEXR and PNG files, and the sRGB transfer function."""
+"""OpenEXR and PNG files, the settings that they state, and the sRGB transfer function."""
 
 import io
+import json
 import os
 from collections.abc import Iterable
 from pathlib import Path
@@ -12,8 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
+from lumitree._version import __version__
 from lumitree.core.file_kinds import EXR, what_it_is
 from lumitree.core.files import atomic_path
+from lumitree.core.results import plain
 from lumitree.errors import LumitreeError, shown
 
 # Largest side of an image that is read, pixels.
@@ -186,3 +189,14 @@ def _read_header(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())
+
+
+def image_settings(command: str, **settings: Any) -> str:
+    """JSON text for the comment of an image: the command, the version of lumitree, and settings.
+
+    Args:
+        command: what made the image, such as "render".
+        settings: values by name, as for `plain`; values that are None are omitted.
+    """
+    given = {name: plain(value) for name, value in settings.items() if value is not None}
+    return json.dumps({"lumitree": __version__, "command": command, **given}, ensure_ascii=False)

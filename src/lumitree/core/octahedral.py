@@ -4,9 +4,9 @@ The sphere is projected on an octahedron, whose lower half is folded out into th
 square, which is cut into `resolution`² bins.
 
 Light fields are linear in the square between the middles of bins, but what is smooth over the
-sphere has a kink at the edges of the octahedron. So for light fields the edges are *bevelled*: in
-place of the octahedron there is the surface whose points are linear in the square between those of
-the middles of bins. It differs from the octahedron where four middles are on two of its faces:
+sphere has a kink at the edges of the octahedron. So for light fields the edges are *bevelled*: the
+surface interpolates linearly, in the square, between the octahedron's points at the middles of
+bins. It differs from the octahedron where four middles are on two of its faces:
 
 *   Where x or y is 0, for half a bin to either side, it is a flat strip. Where two strips end, at
     ±x and ±y, half a bin of the square has no directions.

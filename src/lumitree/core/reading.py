@@ -18,7 +18,7 @@ from typing import Any, NoReturn, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.text import check_utf8
+from lumitree.core.files import check_utf8
 from lumitree.errors import LumitreeError, shown
 
 _T = TypeVar("_T", bound=str | int)

@@ -15,8 +15,8 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, TypeGuard, TypeVar, Union, cast
 
+from lumitree.core.file_kinds import in_utf8
 from lumitree.core.reading import read_bytes
-from lumitree.core.text import in_utf8
 from lumitree.errors import LumitreeError, did_you_mean, shown
 
 _MAX_BYTES = 2**20

@@ -9,8 +9,7 @@ from pathlib import Path
 
 from lumitree._version import __version__
 from lumitree.core.files import FilePath, check_writable, write_bytes
-from lumitree.core.results import Result
-from lumitree.core.stopwatch import Stopwatch
+from lumitree.core.results import Result, Stopwatch
 from lumitree.errors import LumitreeError, explained, shown
 
 

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Literal
 
 from lumitree.asset.asset import Asset
-from lumitree.core.arguments import check_choice, check_count
-from lumitree.core.backend import load_rgb
+from lumitree.core.arguments import check_choice, check_count, metres_of
+from lumitree.core.backend import in_turn, load_rgb
 from lumitree.core.files import (
     FilePath,
     atomic_files,
@@ -15,17 +15,14 @@ from lumitree.core.files import (
     check_new_folder,
     check_writable,
 )
-from lumitree.core.results import Result
+from lumitree.core.results import Result, Stopwatch
 from lumitree.core.seeds import check_seed
-from lumitree.core.stopwatch import Stopwatch
-from lumitree.core.turns import in_turn
-from lumitree.core.units import metres_of
 from lumitree.errors import LumitreeError, shown
 from lumitree.exports import blender, gltf, ies_folder, pbrt, radiance, usd
 from lumitree.exports.target import ExportRequest, Importer, Target
 from lumitree.rendering.asset_cache import open_asset, refuse_frame
 
-# By measurement, see docs/decisions/blender.md.
+# By measurement, see docs/decisions/other-programs.md.
 DEFAULT_LIGHTS, MAX_LIGHTS = 16, 1024
 # A folder has no suffix.
 TARGETS: dict[str, Target] = {

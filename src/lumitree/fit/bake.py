@@ -9,21 +9,20 @@ from typing import TYPE_CHECKING, Any
 from lumitree.asset.asset import Asset, Part, light_field_asset
 from lumitree.asset.geometry import AssetGeometry
 from lumitree.core.arguments import check_asset_output
-from lumitree.core.backend import load_rgb
-from lumitree.core.dataset import Dataset
+from lumitree.core.backend import in_turn, load_rgb
 from lumitree.core.executor import check_executor
 from lumitree.core.files import FilePath, WorkFolder
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.progress import progress as steps
+from lumitree.core.results import Stopwatch
 from lumitree.core.seeds import check_seed
-from lumitree.core.stopwatch import Stopwatch
-from lumitree.core.turns import in_turn
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.fit.bake_network import bake_network
 from lumitree.fit.config import BakeConfig, Method, Quality, chosen_config
 from lumitree.fit.finishing import finish_bake, open_work_folder, remove_state, save_asset
 from lumitree.fit.light_field.saved_field import LIGHT_FIELD_STATE
 from lumitree.fit.result import BakeResult
+from lumitree.lamp.dataset import Dataset
 from lumitree.lamp.diagnosis import warn_of_faults
 from lumitree.lamp.source import Kind, as_source, dataset_folder, refuse_options, source_kind
 from lumitree.measure.irradiance_check import check_irradiance_paths

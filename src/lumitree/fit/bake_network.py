@@ -14,10 +14,8 @@ from lumitree.core.arguments import (
     check_count,
     check_image_settings,
 )
-from lumitree.core.backend import load_rgb
-from lumitree.core.dataset import DATASET_FILES, MANIFEST, MAX_VIEWS, Split
+from lumitree.core.backend import check_network, in_turn, load_rgb
 from lumitree.core.executor import check_executor
-from lumitree.core.extras import check_network
 from lumitree.core.files import (
     FilePath,
     WorkFolder,
@@ -27,15 +25,15 @@ from lumitree.core.files import (
 )
 from lumitree.core.interruption import Interrupted
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
+from lumitree.core.results import Stopwatch, peak_memory_bytes
 from lumitree.core.seeds import check_seed
-from lumitree.core.stopwatch import Stopwatch, peak_memory_bytes
-from lumitree.core.turns import in_turn
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.fit.config import BakeConfig
 from lumitree.fit.finishing import finish_bake, remove_state
 from lumitree.fit.light_field.saved_field import LIGHT_FIELD_STATE
 from lumitree.fit.network.config import TrainConfig
 from lumitree.fit.result import BakeResult, CaptureResult, TrainResult
+from lumitree.lamp.dataset import DATASET_FILES, MANIFEST, MAX_VIEWS, Split
 from lumitree.lamp.diagnosis import warn_of_faults
 from lumitree.octree.build import check_tree_depth
 

@@ -17,11 +17,11 @@ from lumitree.core.arguments import (
     check_image_settings,
     check_light,
 )
-from lumitree.core.dataset import MAX_VIEWS
 from lumitree.core.seeds import check_seed
 from lumitree.errors import LumitreeError
 from lumitree.fit.network.config import TrainConfig
 from lumitree.fit.octree.config import EstimateConfig, OctreeConfig, RefineConfig
+from lumitree.lamp.dataset import MAX_VIEWS
 from lumitree.measure.irradiance_check import check_irradiance_paths
 from lumitree.octree.build import check_tree_depth
 from lumitree.trace.light_field_config import LightFieldConfig
@@ -93,10 +93,10 @@ class BakeConfig:
             of a face has a standard error of 0.3 to 1 %. 0: it is not compared.
         lumens: luminous flux of the asset, lm, if lengths of the luminaire are in metres; 10⁻⁶ to
             10⁹. None: the flux of the luminaire.
-        temperature: colour temperature of the whole flux of the asset, K, 1000 to 20,000. R, G and
-            B of all its light each get a factor, by which the whole flux gets the chromaticity of a
-            black body and keeps its luminous flux: a coloured part of a lamp stays coloured
-            relative to the others. None: the colours of the luminaire.
+        temperature: colour temperature of the whole flux of the asset, K, 1000 to 20,000. One
+            factor for each of R, G and B gives the whole flux the chromaticity of a black body and
+            keeps its luminous flux: a coloured part of a lamp stays coloured relative to the
+            others. None: the colours of the luminaire.
         seed: root seed of all random numbers, 0 to 2³¹ - 1. With `octree.rays` and without
             `octree.time`, equal seeds and settings give equal files on one machine. Views do not
             depend on it.

@@ -10,7 +10,7 @@ from lumitree.asset.asset import Asset
 from lumitree.asset.file import as_stored, save
 from lumitree.core.files import FilePath, WorkFolder, WriteError, scratch_folder
 from lumitree.core.interruption import deferred_interrupt, interruptible, interruption_behind
-from lumitree.core.stopwatch import Stopwatch
+from lumitree.core.results import Stopwatch
 from lumitree.errors import LumitreeError, shown
 from lumitree.fit.result import BakeResult
 from lumitree.measure.irradiance_check import measure_irradiance

@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.core.file_kinds import in_utf8
 from lumitree.core.files import write_bytes
 from lumitree.core.photometry import radiance_from_flux
-from lumitree.core.text import in_utf8
 from lumitree.errors import LumitreeError
 from lumitree.formats.archive import Archive
 from lumitree.formats.l3d import L3d, L3dPart, LightObject

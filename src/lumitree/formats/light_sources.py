@@ -1,7 +1,7 @@
 """The light field of a lamp with several sources, each with its place, opening and intensities.
 
-The light of a source starts on its luminous opening, from which it leaves as that of a photometric
-file does, see `light_field`. Light that leaves the lamp may start anywhere on its ray. Where an
+Each light source emits from its luminous opening with the intensities of its photometric file, see
+`light_field`. Light that leaves the lamp may start anywhere on its ray. Where an
 opening is nearer to a face of the box than the middle of the last cells, the light starts before or
 behind it, at the next place that can be the mean of cells. Along an axis over which an opening
 extends far, cells have the part of it that is in them, which blurs its edges by a cell; along

@@ -9,8 +9,8 @@ from typing import TypeVar
 
 import numpy as np
 
+from lumitree.core.file_kinds import in_utf8
 from lumitree.core.reading import read_bytes
-from lumitree.core.text import in_utf8
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 
 T = TypeVar("T")

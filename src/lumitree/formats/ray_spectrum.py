@@ -3,8 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lumitree.core.photometry import WAVELENGTHS, matching_functions
-from lumitree.core.spectrum import sampled_spectrum
+from lumitree.core.photometry import WAVELENGTHS, matching_functions, sampled_spectrum
 from lumitree.errors import LumitreeError
 
 # Kinds of spectral data, as the file's header numbers them.

@@ -27,9 +27,8 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.photometry import LUMA, RGB, srgb_from_xyz, xyz_of_spectrum
+from lumitree.core.photometry import LUMA, RGB, sampled_spectrum, srgb_from_xyz, xyz_of_spectrum
 from lumitree.core.reading import read_bytes
-from lumitree.core.spectrum import sampled_spectrum
 from lumitree.errors import LumitreeError, shown
 from lumitree.formats.opening import POINT, Opening
 from lumitree.formats.photometric_text import MAX_ANGLES, number, warn_of_file, warn_of_flux

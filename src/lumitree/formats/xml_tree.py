@@ -3,7 +3,7 @@
 from xml.etree.ElementTree import Element, TreeBuilder
 from xml.parsers import expat
 
-from lumitree.core.text import in_utf8, utf16_encoding
+from lumitree.core.file_kinds import in_utf8, utf16_encoding
 from lumitree.errors import LumitreeError, shown
 from lumitree.formats.photometric_text import number
 

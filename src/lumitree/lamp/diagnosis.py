@@ -40,6 +40,14 @@ _MAX_CANDIDATES = 500_000
 # Mitsuba offsets the origin of a ray from a surface by this length, times 1 + the largest
 # coordinate.
 _RAY_EPSILON = 1500 * 2.0**-24
+# Largest number of lines whose crossings are examined one by one.
+_MAX_EXAMINED = 2000
+# Smallest cosine between the normals of surfaces that touch.
+_PARALLEL = 0.9
+# Two surfaces that touch in a smaller fraction of a shape's crossings only share a sharp edge.
+_MIN_SHARE = 0.01
+# Largest number of warnings per luminaire.
+_MAX_WARNED = 5
 
 
 @dataclasses.dataclass(frozen=True)
@@ -248,16 +256,6 @@ def _area(a: Floats, b: Floats, x: Floats, y: Floats) -> Floats:
     return (b[:, 0] - a[:, 0]) * (y - a[:, 1]) - (b[:, 1] - a[:, 1]) * (x - a[:, 0])
 
 
-# Largest number of lines whose crossings are examined one by one.
-_MAX_EXAMINED = 2000
-# Smallest cosine between the normals of surfaces that touch.
-_PARALLEL = 0.9
-# Two surfaces that touch in a smaller fraction of a shape's crossings only share a sharp edge.
-_MIN_SHARE = 0.01
-# Largest number of warnings per luminaire.
-_MAX_WARNED = 5
-
-
 def warn_of_faults(luminaire: Luminaire) -> list[str]:
     """Warn of glass that cannot be rendered correctly; returns one line per fault."""
     faults = diagnose(luminaire.scene)
@@ -284,7 +282,7 @@ def diagnose(scene: Any) -> list[str]:
     shapes = [shape for shape in scene.shapes() if _is_dielectric(shape)]
     if not shapes:
         return []
-    names = [_name(shape) for shape in shapes]
+    names = [repr(s.id()) if s.id() else f"an unnamed {s.class_name().lower()}" for s in shapes]
     crossings = trace_lines(shapes)
     open_shapes = _open_shapes(crossings, len(shapes))
     closed = crossings.take(~np.isin(crossings.shape, open_shapes))
@@ -319,10 +317,6 @@ def _is_dielectric(shape: Any) -> bool:
     flags = load_mitsuba().BSDFFlags
     kind = shape.bsdf().flags()
     return bool(kind & int(flags.NonSymmetric)) and bool(kind & int(flags.Transmission))
-
-
-def _name(shape: Any) -> str:
-    return repr(shape.id()) if shape.id() else f"an unnamed {shape.class_name().lower()}"
 
 
 def _pair(names: list[str], pair: tuple[int, int]) -> str:

@@ -45,6 +45,11 @@ _AROUND, _FLOOR = 0.2, 0.05
 
 # Wavelengths at which it is evaluated in spectral variants, nm.
 _WAVELENGTHS = (450.0, 530.0, 590.0, 650.0)
+_PLUGIN = "lumitree_area"
+# Radiance that is everywhere the same. Mitsuba's own emitter samples such surfaces by area.
+_CONSTANT = ("d65", "irregular", "regular", "srgb", "uniform")
+# The class of the emitter in each variant in which it is registered.
+_classes: dict[str | None, type] = {}
 
 
 @dataclass
@@ -251,13 +256,6 @@ def _areas(shape: mi.Shape) -> NDArray[np.float64]:
     return np.linalg.norm(np.cross(*np.moveaxis(corners[:, 1:] - corners[:, :1], 1, 0)), axis=1) / 2
 
 
-_PLUGIN = "lumitree_area"
-# Radiance that is everywhere the same. Mitsuba's own emitter samples such surfaces by area.
-_CONSTANT = ("d65", "irregular", "regular", "srgb", "uniform")
-# The class of the emitter in each variant in which it is registered.
-_classes: dict[str | None, type] = {}
-
-
 def replace_textured_areas(state: Any) -> None:
     """Let area emitters with a texture in a mi.parser.ParserState be emitters `lumitree_area`."""
     for node in state.nodes:
@@ -265,7 +263,9 @@ def replace_textured_areas(state: Any) -> None:
         if node.type == mi.ObjectType.Emitter and props.plugin_name() == "area":
             textures = (state.nodes[index].props for index in referred(props).values())
             if any(each.plugin_name() not in _CONSTANT for each in textures):
-                _register()
+                if mi.variant() not in _classes:
+                    _classes[mi.variant()] = _emitter_class()
+                    mi.register_emitter(_PLUGIN, _classes[mi.variant()])
                 props.set_plugin_name(_PLUGIN)
 
 
@@ -275,12 +275,6 @@ def complete_textured_areas(scene: mi.Scene) -> None:
     for shape in scene.shapes():
         if kind is not None and isinstance(emitter := shape.emitter(), kind):
             emitter.complete(shape)
-
-
-def _register() -> None:
-    if mi.variant() not in _classes:
-        _classes[mi.variant()] = _emitter_class()
-        mi.register_emitter(_PLUGIN, _classes[mi.variant()])
 
 
 def _emitter_class() -> type:

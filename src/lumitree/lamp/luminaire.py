@@ -13,11 +13,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.backend import load_mitsuba
+from lumitree.core.backend import in_turn, load_mitsuba
 from lumitree.core.executor import packed, unpacked
 from lumitree.core.frames import LocalFrame, float32_step, is_far
 from lumitree.core.mitsuba_meshes import mesh_vertices
-from lumitree.core.turns import in_turn
 from lumitree.errors import LumitreeError, LumitreeWarning, shown, shown_names
 from lumitree.lamp.builtin import BUILTIN
 from lumitree.lamp.media import any_scatters, media_of

@@ -65,6 +65,25 @@ Floats = NDArray[np.float64]
 SIZE, _SAMPLES = 48, 1024
 # Least alpha of a surface; no normal is sampled in the plane of the surface.
 MIN_ALPHA, _MIN_COSINE = 1e-3, 1e-4
+_registered: set[str | None] = set()
+# Parameters that may be textures, and their defaults.
+_DEFAULTS = {
+    "base_color": 0.5,
+    "metallic": 0.0,
+    "roughness": 0.5,
+    "anisotropic": 0.0,
+    "specular": 1.0,
+    "spec_trans": 0.0,
+    "diff_trans": 0.0,
+    "clearcoat": 0.0,
+    "clearcoat_roughness": 0.0,
+    "sheen": 0.0,
+}
+# Reflectance of the clear coat at normal incidence; and a bound of the variance of Schlick's factor
+# over the hemisphere: two layers transmit more than the product of their mean transmittances.
+_COAT, _COAT_VARIANCE = 0.04, 0.0145
+# Numbers of the lobes; Mitsuba gets the facets' number for the coat.
+_BASE, _FACET, _BEHIND, _CROSSED, _OF_COAT = range(5)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -260,27 +279,6 @@ def reflection_lookup(variant: str) -> ReflectionLookup:
 def glass_lookup(variant: str, ior: float) -> GlassLookup:
     """The lookup for a variant of Mitsuba, which is set, and an index of refraction."""
     return GlassLookup(ior)
-
-
-_registered: set[str | None] = set()
-# Parameters that may be textures, and their defaults.
-_DEFAULTS = {
-    "base_color": 0.5,
-    "metallic": 0.0,
-    "roughness": 0.5,
-    "anisotropic": 0.0,
-    "specular": 1.0,
-    "spec_trans": 0.0,
-    "diff_trans": 0.0,
-    "clearcoat": 0.0,
-    "clearcoat_roughness": 0.0,
-    "sheen": 0.0,
-}
-# Reflectance of the clear coat at normal incidence; and a bound of the variance of Schlick's factor
-# over the hemisphere: two layers transmit more than the product of their mean transmittances.
-_COAT, _COAT_VARIANCE = 0.04, 0.0145
-# Numbers of the lobes; Mitsuba gets the facets' number for the coat.
-_BASE, _FACET, _BEHIND, _CROSSED, _OF_COAT = range(5)
 
 
 def _schlick(cosine: mi.Float) -> mi.Float:
@@ -503,8 +501,8 @@ class _Point:
         facets, coat = self.pmf[_FACET] + self.pmf[_CROSSED], self.pmf[_OF_COAT]
         is_facet, is_single = sample < facets, sample < facets + coat
         alphas = [
-            dr.select(is_facet, own, coats)
-            for own, coats in zip(self.alphas, self.coat_alphas, strict=True)
+            dr.select(is_facet, alpha, coat)
+            for alpha, coat in zip(self.alphas, self.coat_alphas, strict=True)
         ]
         normal, _ = _ggx(alphas if bsdf.coated else self.alphas).sample(wi, square)
         cosine = dr.dot(wi, normal)

@@ -25,6 +25,9 @@ from lumitree.lamp.meshes import Floats, Mesh
 MAX_SHAPES = 5000
 
 WHITE: RGB = (1.0, 1.0, 1.0)
+Microfacets = Literal["ggx", "beckmann"]
+# A pattern of digits alone; a name of this form is matched by "[#]3".
+_NUMBER = re.compile(r"#[0-9]{1,9}")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -56,7 +59,6 @@ class Texture:
 
 Colour = RGB | Texture | VertexColours
 Value = float | Texture
-Microfacets = Literal["ggx", "beckmann"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -298,10 +300,6 @@ def _largest(radiance: Colour | None, mesh: Mesh) -> float:
     return max(radiance or (0.0,))
 
 
-# A pattern of digits alone; a name of this form is matched by "[#]3".
-_NUMBER = re.compile(r"#[0-9]{1,9}")
-
-
 class Names:
     """Makes names that are unique, also where upper and lower case are not distinguished."""
 
@@ -370,9 +368,9 @@ def matching(
     if listed is not None and _NUMBER.fullmatch(pattern):
         found = [at == int(pattern[1:]) for at in range(len(names))]
     else:
-        found = [any(fnmatch.fnmatchcase(name, pattern) for name in own) for own in names]
+        found = [any(fnmatch.fnmatchcase(name, pattern) for name in each) for each in names]
     if not any(found):
-        every = dict.fromkeys(name for own in names for name in own if name)
+        every = dict.fromkeys(name for each in names for name in each if name)
         raise LumitreeError(
             f"{file}: {option} {shown(pattern)!r} matches no {kind}; there are "
             f"{shown_names(every if listed is None else listed)}{how}"

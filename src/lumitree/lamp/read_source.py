@@ -32,11 +32,18 @@ from lumitree.lamp.parts import Geometry
 from lumitree.lamp.scene_file import SceneFile, refuse_kind
 from lumitree.lamp.scene_shapes import SceneShape
 from lumitree.lamp.scene_writer import write_scene
-from lumitree.lamp.source import (
-    LuminaireSource,
-    as_source,
-    source_kind,
-)
+from lumitree.lamp.source import LuminaireSource, as_source, source_kind
+
+_MAX_FILE_BYTES = 2**40
+# Sources that have no shapes to load.
+_NOT_LUMINAIRES: dict[str, str] = {
+    "asset": "an asset, which is baked already",
+    "photometric": "a photometric file, which has no shapes and is used as an asset",
+    "dataset": "a dataset",
+}
+# A version of a file: its path, time, size and inode.
+Stamp = tuple[str, int, int, int]
+Opened = str | os.PathLike[str] | LuminaireSource | Mapping[str, Any]
 
 
 def read_model(source: str | os.PathLike[str] | LuminaireSource) -> Geometry:
@@ -87,20 +94,6 @@ def overrides_path(source: LuminaireSource) -> Path | None:
         return Path(source.materials)
     beside = Path(source.name).with_suffix(".toml")
     return beside if os.path.isfile(beside) else None
-
-
-_MAX_FILE_BYTES = 2**40
-# Sources that have no shapes to load.
-_NOT_LUMINAIRES: dict[str, str] = {
-    "asset": "an asset, which is baked already",
-    "photometric": "a photometric file, which has no shapes and is used as an asset",
-    "dataset": "a dataset",
-}
-
-
-# A version of a file: its path, time, size and inode.
-Stamp = tuple[str, int, int, int]
-Opened = str | os.PathLike[str] | LuminaireSource | Mapping[str, Any]
 
 
 def luminaire_source(luminaire: Opened) -> LuminaireSource:

@@ -143,13 +143,14 @@ class SceneFile:
             mi.parser.transform_all(self._config, self._state)
         # Shapes of the scene by their keys. A group is only visible through its instances.
         root = self._state.nodes[0].props
-        own = self.children(root).items()
-        held = [
-            item for item in own if self._is_a(item[1], "Shape") and not self._is_group(item[1])
-        ]
-        held.sort(key=lambda item: root[item[0]].index())
+        nodes = {
+            key: node
+            for key, node in self.children(root).items()
+            if self._is_a(node, "Shape") and not self._is_group(node)
+        }
         self._shapes = {
-            key: shape_of_node(number, key, node, self) for number, (key, node) in enumerate(held)
+            key: shape_of_node(number, key, nodes[key], self)
+            for number, key in enumerate(sorted(nodes, key=lambda key: root[key].index()))
         }
         if keep or drop:
             self._select(keep, drop)
@@ -179,7 +180,7 @@ class SceneFile:
 
     @property
     def shapes(self) -> tuple[SceneShape, ...]:
-        """Shapes and instances that the scene holds, in the order of the file."""
+        """Shapes and instances of the scene, in the order of the file."""
         return tuple(self._shapes.values())
 
     def loose_lights(self) -> list[str]:

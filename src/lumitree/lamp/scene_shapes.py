@@ -35,7 +35,7 @@ class SceneShape:
         name: its id, or else the attribute `name` of its element, as in a scene that was written
             from a dictionary; empty if it has neither.
         kind: plugin of Mitsuba.
-        materials: ids of its BSDF and of those that this one holds, of which only some have any.
+        materials: ids of its BSDF and of the BSDFs within it, as far as they have any.
         bsdf: plugin of its BSDF, and of the textures that this one names; empty if it has none.
         emitter: likewise.
         attributes: names of the mesh attributes that its BSDF and its emitter use.
@@ -71,12 +71,10 @@ class SceneShape:
 def shape_of_node(number: int, key: str, node: Any, file: Any) -> SceneShape:
     """The shape of a node of a `SceneFile`, before it is created.
 
-    The scene holds it under `key`: the attribute `name`, or made by Mitsuba.
+    `key` is its key in the scene: the attribute `name`, or made by Mitsuba.
     """
     types = load_mitsuba().ObjectType
-    held = file.children(node.props).values()
-    bsdfs = [child for child in held if child.type == types.BSDF]
-    emitters = [child for child in held if child.type == types.Emitter]
+    children = file.children(node.props).values()
     return SceneShape(
         number=number,
         name=node.props.id() or ("" if key.startswith(_UNNAMED) else key),
@@ -86,8 +84,10 @@ def shape_of_node(number: int, key: str, node: Any, file: Any) -> SceneShape:
             for each in file.within(node.props, "BSDF")
             if each.type == types.BSDF and each.props.id()
         ),
-        bsdf=", ".join(_described(file, each) for each in bsdfs),
-        emitter=", ".join(_described(file, each) for each in emitters),
+        bsdf=", ".join(_described(file, each) for each in children if each.type == types.BSDF),
+        emitter=", ".join(
+            _described(file, each) for each in children if each.type == types.Emitter
+        ),
         attributes=tuple(
             str(each.props.get("name", ""))
             for each in file.within(node.props, "BSDF", "Emitter")

@@ -45,6 +45,21 @@ from lumitree.lamp.scene_shapes import SceneShape
 
 # For all products of one model.
 _MAX_BYTES = 5 * 2**28
+SCENE_FILE = "luminaire.xml"
+# Prefix of the ids of materials.
+_PREFIX = "material_"
+# Roughness below which a surface is smooth: the geometry of an asset has no smaller alpha than its
+# square.
+_SMOOTH = 0.01
+# Parameters of the BSDF that are a number or a texture, and the attributes of `Principled`.
+_PRINCIPLED = {
+    **{name: name for name in ("metallic", "roughness")},
+    "anisotropic": "anisotropy",
+    "eta": "ior",
+    **{name: name for name in ("specular", "sheen", "clearcoat", "clearcoat_roughness")},
+    "spec_trans": "transmission",
+    "diff_trans": "diffuse_transmission",
+}
 
 
 class MaskedEmission:
@@ -133,25 +148,6 @@ def normal_reflectance(metal: asset_materials.Metal) -> list[float]:
     return (((eta - 1) ** 2 + k**2) / ((eta + 1) ** 2 + k**2)).tolist()
 
 
-SCENE_FILE = "luminaire.xml"
-# Prefix of the ids of materials.
-_PREFIX = "material_"
-# Roughness below which a surface is smooth: the geometry of an asset has no smaller alpha than its
-# square.
-_SMOOTH = 0.01
-
-
-# Parameters of the BSDF that are a number or a texture, and the attributes of `Principled`.
-_PRINCIPLED = {
-    **{name: name for name in ("metallic", "roughness")},
-    "anisotropic": "anisotropy",
-    "eta": "ior",
-    **{name: name for name in ("specular", "sheen", "clearcoat", "clearcoat_roughness")},
-    "spec_trans": "transmission",
-    "diff_trans": "diffuse_transmission",
-}
-
-
 def write_scene(model: Geometry, folder: str | os.PathLike[str]) -> Path:
     """Write `luminaire.xml`, `meshes/` and `textures/`; equal models give equal bytes.
 
@@ -187,7 +183,7 @@ class _Writer:
         ids, single = Names("_"), [part for part in self._model.parts if len(part.places) == 1]
         for name in self._emitted:
             ids.unique(_reference(self._materials[name]))
-        own = {part.name: ids.unique(part.name) for part in single}
+        names = {part.name: ids.unique(part.name) for part in single}
         for part in self._model.parts:
             # Such as con, which is a device of Windows.
             sign = "" if accepts_name(part.name) else "="
@@ -198,7 +194,7 @@ class _Writer:
                 mesh = dataclasses.replace(mesh, uv=np.zeros((len(mesh.vertices), 2)))
             _write_mesh(self._folder / mesh_file, mesh)
             for copy in range(len(part.places)):
-                name = own.get(part.name) or ids.unique(f"{part.name}_{copy + 1}")
+                name = names.get(part.name) or ids.unique(f"{part.name}_{copy + 1}")
                 self._shape(root, part, copy, name, mesh_file)
         ElementTree.indent(root, "    ")
         path = self._folder / SCENE_FILE
@@ -343,11 +339,11 @@ def _is_far(model: Geometry) -> bool:
     boxes = {id(part.mesh): _box(part.mesh) for part in model.parts}
     corners, reach = [np.zeros((0, 3))], [0.0]
     for part in model.parts:
-        own = np.array(list(itertools.product(*boxes[id(part.mesh)].T)))
+        box = np.array(list(itertools.product(*boxes[id(part.mesh)].T)))
         for place in part.places:
-            corners.append(own @ place[:3, :3].T + place[:3, 3])
+            corners.append(box @ place[:3, :3].T + place[:3, 3])
             scale = np.linalg.norm(place[:3, :3], axis=0).max()
-            reach.append(float(np.abs(own).max() * scale))
+            reach.append(float(np.abs(box).max() * scale))
     points = np.concatenate(corners)
     return is_far([np.abs(points).max(initial=0.0), *reach], np.ptp(points, axis=0).max())
 

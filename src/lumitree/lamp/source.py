@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any, Literal, cast
 
 from lumitree.asset.asset import Asset
-from lumitree.core.dataset import MANIFEST
 from lumitree.core.file_kinds import TM33, what_it_is
 from lumitree.errors import LumitreeError, shown
+from lumitree.lamp.dataset import MANIFEST
 
 # Files that are assets once they are opened, see `rendering.asset_cache.open_asset`.
 ASSET_SUFFIX = ".lumitree"

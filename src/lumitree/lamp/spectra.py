@@ -25,22 +25,23 @@ from lumitree.errors import LumitreeError, shown, shown_names
 
 # With their defaults: K, and the range of wavelengths, nm.
 _PARAMETERS = {"temperature": None, "wavelength_min": 360.0, "wavelength_max": 830.0}
+# Wavelengths, nm, and values, both [N]; not checked.
+Samples = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
 def replace_blackbodies(file: Any) -> list[str]:
     """Replace the black bodies of a `SceneFile`'s emitters by their radiance, W/(m² sr).
 
-    Returns a line for each temperature, which says what radiance was taken.
+    Returns a note for each temperature, with the radiance.
     """
-    taken: dict[str, list[str]] = {}
-    owners = [*file.nodes("Shape"), *file.nodes("Emitter")]
-    for owner in owners:
+    notes: dict[str, list[str]] = {}
+    for owner in (*file.nodes("Shape"), *file.nodes("Emitter")):
         name = owner.props.id() or owner.props.plugin_name()
         for emitter in (owner, *file.children(owner.props).values()):
             if emitter.type == load_mitsuba().ObjectType.Emitter:
                 for line in _replaced(file, emitter.props):
-                    taken.setdefault(line, []).append(name)
-    return [f"{shown_names(dict.fromkeys(names))}: {line}" for line, names in taken.items()]
+                    notes.setdefault(line, []).append(name)
+    return [f"{shown_names(dict.fromkeys(names))}: {line}" for line, names in notes.items()]
 
 
 def _replaced(file: Any, emitter: Any) -> Iterator[str]:
@@ -65,8 +66,8 @@ def _radiance_property(radiance: RGB, body: tuple[float, float, float]) -> Any:
     spectrum = blackbody_spectrum(*body)
     spectrum *= (np.array(radiance) @ LUMA) * FILM_LUMINANCE / xyz_of_spectrum(spectrum)[1]
     values = ", ".join(map(repr, spectrum.tolist()))
-    ends = {"wavelength_min": WAVELENGTHS[0], "wavelength_max": WAVELENGTHS[-1]}
-    return mi.load_dict({"type": "regular", "values": values, **ends})
+    limits = {"wavelength_min": WAVELENGTHS[0], "wavelength_max": WAVELENGTHS[-1]}
+    return mi.load_dict({"type": "regular", "values": values, **limits})
 
 
 def blackbody_of(props: Any) -> tuple[float, float, float]:
@@ -78,10 +79,6 @@ def blackbody_of(props: Any) -> tuple[float, float, float]:
             raise LumitreeError(f"{name} of a blackbody is {shown(value, 60)}; expected a number")
         values.append(float(value))
     return values[0], values[1], values[2]
-
-
-# Wavelengths, nm, and values, both [N]; not checked.
-Samples = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
 def spectra_of_emitters(file: Any) -> dict[str, Samples]:

@@ -13,21 +13,20 @@ from typing import Any
 
 from lumitree.asset.file import fingerprint_of, load, save
 from lumitree.core.arguments import check_asset_output, check_count
-from lumitree.core.backend import load_rgb
-from lumitree.core.dataset import MANIFEST
+from lumitree.core.backend import in_turn, load_rgb
 from lumitree.core.executor import check_executor, run_tasks, variant_here
 from lumitree.core.files import FilePath, WorkFolder, WriteError
 from lumitree.core.interruption import deferred_interrupt, interruptible, interruption_behind
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.progress import progress as progress_of
-from lumitree.core.stopwatch import Stopwatch
-from lumitree.core.turns import in_turn
+from lumitree.core.results import Stopwatch
 from lumitree.errors import LumitreeError, shown
 from lumitree.fit.bake import bake
 from lumitree.fit.config import BakeConfig
 from lumitree.fit.finishing import work_folder_of
 from lumitree.formats.photometric_file import read_again
 from lumitree.lamp.builtin import BUILTIN
+from lumitree.lamp.dataset import MANIFEST
 from lumitree.lamp.importers.model_files import noted_files
 from lumitree.lamp.luminaire import absolute_source
 from lumitree.lamp.source import (

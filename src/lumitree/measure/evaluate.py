@@ -17,15 +17,13 @@ from lumitree.core.arguments import (
     check_range,
     check_sheet_output,
 )
-from lumitree.core.backend import load_rgb
-from lumitree.core.dataset import MAX_VIEWS, Dataset
+from lumitree.core.backend import in_turn, load_rgb
 from lumitree.core.files import FilePath, scratch_folder, write_bytes
-from lumitree.core.image_settings import image_settings
+from lumitree.core.images import image_settings
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
-from lumitree.core.results import ImageResult, Json
-from lumitree.core.stopwatch import Stopwatch
-from lumitree.core.turns import in_turn
+from lumitree.core.results import ImageResult, Json, Stopwatch
 from lumitree.errors import LumitreeError
+from lumitree.lamp.dataset import MAX_VIEWS, Dataset
 from lumitree.lamp.diagnosis import warn_of_faults
 from lumitree.lamp.source import dataset_folder
 from lumitree.measure.irradiance_check import check_irradiance_paths
@@ -241,7 +239,7 @@ def _references(
 
 def _samples_in(time: float | None, lamp: "Luminaire", resolution: int, pixels: int) -> int:
     """Paths per pixel that a time allows, a power of two; `pixels` are of all images together."""
-    from lumitree.core.directions import FIRST_TEST_INDEX, view_pose
+    from lumitree.core.frames import FIRST_TEST_INDEX, view_pose
     from lumitree.core.seeds import Purpose, SeedStream
     from lumitree.trace.cameras import Camera
 

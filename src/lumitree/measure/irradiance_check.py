@@ -8,8 +8,7 @@ import numpy as np
 from lumitree.asset.asset import Asset
 from lumitree.asset.light_field import LightField
 from lumitree.core.arguments import check_count
-from lumitree.core.results import Json
-from lumitree.core.stopwatch import Stopwatch
+from lumitree.core.results import Json, Stopwatch
 from lumitree.errors import LumitreeWarning
 
 if TYPE_CHECKING:

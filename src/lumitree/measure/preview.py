@@ -15,18 +15,15 @@ from lumitree.core.arguments import (
     check_image_settings,
     check_sheet_output,
 )
-from lumitree.core.backend import load_rgb
-from lumitree.core.directions import pose_towards
+from lumitree.core.backend import in_turn, load_rgb
 from lumitree.core.files import FilePath, write_bytes
-from lumitree.core.image_settings import image_settings
-from lumitree.core.images import auto_exposure, max_radiance, tonemap
+from lumitree.core.frames import pose_towards
+from lumitree.core.images import auto_exposure, image_settings, max_radiance, tonemap
 from lumitree.core.photometry import Flux, MissedFlux, luminance
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.progress import progress as progress_bar
-from lumitree.core.results import ImageResult
+from lumitree.core.results import ImageResult, Stopwatch
 from lumitree.core.seeds import Purpose, SeedStream
-from lumitree.core.stopwatch import Stopwatch
-from lumitree.core.turns import in_turn
 from lumitree.errors import LumitreeError
 from lumitree.lamp.diagnosis import warn_of_faults
 from lumitree.lamp.scene_shapes import SceneShape

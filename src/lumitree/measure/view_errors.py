@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
-from lumitree.core.dataset import Dataset, Frame, OpacityKind
 from lumitree.core.frames import LocalFrame
 from lumitree.core.progress import progress
 from lumitree.errors import LumitreeError, shown
+from lumitree.lamp.dataset import Dataset, Frame, OpacityKind
 from lumitree.measure.figures import MAX_ROWS, SheetRow
 from lumitree.measure.metrics import (
     flux_error,

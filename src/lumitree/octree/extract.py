@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.directions import radical_inverse
+from lumitree.core.frames import radical_inverse
 from lumitree.core.progress import progress
 from lumitree.errors import LumitreeError
 from lumitree.octree.build import build_children, check_tree_depth, child_cells

@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING
 
 from lumitree.asset.asset import Asset
 from lumitree.asset.file import load as read_asset
-from lumitree.core.backend import load_mitsuba
+from lumitree.core.backend import in_turn, load_mitsuba
 from lumitree.core.files import FilePath
-from lumitree.core.turns import in_turn
 from lumitree.errors import LumitreeError, shown
 from lumitree.lamp.builtin import BUILTIN
 from lumitree.lamp.source import (

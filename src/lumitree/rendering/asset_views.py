@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
-from lumitree.core.dataset import Frame, Manifest
+from lumitree.lamp.dataset import Frame, Manifest
 from lumitree.octree.field import shared_field
 from lumitree.rendering.sampling.divided_sampling import look
 

@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.arguments import check_gain
+from lumitree.core.backend import in_turn
 from lumitree.core.files import FilePath
-from lumitree.core.image_settings import image_settings
-from lumitree.core.images import encode_png, read_comment, read_exr
-from lumitree.core.stopwatch import Stopwatch
-from lumitree.core.turns import in_turn
+from lumitree.core.images import encode_png, image_settings, read_comment, read_exr
+from lumitree.core.results import Stopwatch
 from lumitree.core.view_transform import View, check_view, displayed, room_exposure
 from lumitree.errors import LumitreeError, shown
 from lumitree.rendering.saved_image import SavedImage

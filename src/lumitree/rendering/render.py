@@ -12,17 +12,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.arguments import check_image_settings, check_items, check_range
-from lumitree.core.backend import load_mitsuba
+from lumitree.core.arguments import check_image_settings, check_items, check_range, metres_of
+from lumitree.core.backend import in_turn, load_mitsuba
 from lumitree.core.executor import check_executor
 from lumitree.core.files import FilePath, WorkFolder
-from lumitree.core.image_settings import image_settings
-from lumitree.core.images import check_exr_name, encode_png, write_exr
+from lumitree.core.images import check_exr_name, encode_png, image_settings, write_exr
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
+from lumitree.core.results import Stopwatch
 from lumitree.core.seeds import check_seed
-from lumitree.core.stopwatch import Stopwatch
-from lumitree.core.turns import in_turn
-from lumitree.core.units import metres_of
 from lumitree.core.view_transform import View, check_view, displayed, room_exposure
 from lumitree.errors import LumitreeError, explained
 from lumitree.rendering.placement import Placement

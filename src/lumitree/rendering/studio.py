@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
-from lumitree.core.directions import pose_towards
+from lumitree.core.frames import pose_towards
 from lumitree.core.images import auto_exposure, tonemap
 from lumitree.lamp.luminaire import Luminaire
 from lumitree.lamp.scene_shapes import reusable_shapes

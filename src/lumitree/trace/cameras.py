@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.arguments import check_count, check_image_settings
-from lumitree.core.dataset import MANIFEST, MAX_VIEWS, Dataset, Frame, Manifest, Split, View
 from lumitree.core.device import parameter
-from lumitree.core.directions import FIRST_TEST_INDEX, view_pose
 from lumitree.core.executor import run_tasks
 from lumitree.core.files import exclusive
+from lumitree.core.frames import FIRST_TEST_INDEX, view_pose
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.errors import LumitreeError
+from lumitree.lamp.dataset import MANIFEST, MAX_VIEWS, Dataset, Frame, Manifest, Split, View
 from lumitree.lamp.luminaire import LampWorkers, Luminaire, received_luminaire
 from lumitree.lamp.media import is_coloured, media
 from lumitree.trace import medium_paths

@@ -17,9 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import EmittedSpectrum
-from lumitree.core.photometry import Flux, MissedFlux, luminance, matching_functions
+from lumitree.core.photometry import (
+    Flux,
+    MissedFlux,
+    luminance,
+    matching_functions,
+    sampled_spectrum,
+)
 from lumitree.core.seeds import Purpose, SeedStream
-from lumitree.core.spectrum import sampled_spectrum
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.lamp.importers.overrides import setting
 from lumitree.lamp.luminaire import Luminaire

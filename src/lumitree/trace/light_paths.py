@@ -198,7 +198,7 @@ def trace_light(
     """
     reservoir = None if ending is None else Reservoir.empty(ending, luminaire.scene_frame, count)
     traced, reservoir = _trace(luminaire, sampler, path_depth, reservoir, flux_limit)
-    # All at once: a sum of one of them would trace the paths for it alone.
+    # Evaluated together: otherwise each of them would trace all paths again.
     dr.eval(traced, reservoir)
     flux, leaves = traced.flux, traced.leaves
     if flux_limit is not None:

@@ -16,11 +16,9 @@ from typing import Any
 import numpy as np
 
 from lumitree.asset.asset import Asset
-from lumitree.core.backend import load_rgb
+from lumitree.core.backend import in_turn, load_rgb
 from lumitree.core.files import FilePath, check_writable, json_text, write_bytes
-from lumitree.core.results import Result
-from lumitree.core.stopwatch import Stopwatch
-from lumitree.core.turns import in_turn
+from lumitree.core.results import Result, Stopwatch
 from lumitree.errors import LumitreeError, shown
 from lumitree.rendering.asset_cache import open_asset
 

@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 
-from lumitree.core.directions import orthographic_rays, view_pose
+from lumitree.core.frames import orthographic_rays, view_pose
 from lumitree.errors import LumitreeError
 from lumitree.fit.network.rays import (
     contains,

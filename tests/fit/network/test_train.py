@@ -15,7 +15,6 @@ import orbax.checkpoint as ocp
 import pytest
 
 import lumitree
-from lumitree.core.dataset import Dataset
 from lumitree.errors import LumitreeError
 from lumitree.fit.network import train as training
 from lumitree.fit.network.config import TrainConfig
@@ -29,6 +28,7 @@ from lumitree.fit.network.train import (
     train,
 )
 from lumitree.fit.network.trained_field import load_field
+from lumitree.lamp.dataset import Dataset
 from support.sphere import CENTRE, RADIUS, TINY, sphere_dataset
 
 NO_NAME_OF_WINDOWS = pytest.mark.skipif(sys.platform == "win32", reason="no name of a folder there")

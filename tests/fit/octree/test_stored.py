@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from lumitree.core.dataset import Dataset
 from lumitree.errors import LumitreeError
+from lumitree.lamp.dataset import Dataset
 from support.lamps import AREA, cube, sphere
 from support.tiny_bakes import octree_config
 from support.traced_lamps import everywhere, stream

@@ -37,11 +37,7 @@ def body_of(tmp_path, fields, notes="", **node):
     return material.surface
 
 
-VOLUME = {
-    "thicknessFactor": 0.5,
-    "attenuationColor": [0.5, 0.25, 1],
-    "attenuationDistance": 2.0,
-}
+VOLUME = {"thicknessFactor": 0.5, "attenuationColor": [0.5, 0.25, 1], "attenuationDistance": 2.0}
 
 
 def test_volumes_fill_closed_bodies(tmp_path):

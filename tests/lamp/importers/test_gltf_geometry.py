@@ -259,7 +259,7 @@ def test_point_lights_become_small_spheres(tmp_path):
     np.testing.assert_allclose(np.linalg.norm(vertices - (1, 2, 3), axis=1), LIGHT_RADIUS)
     ideal = 100 / (np.pi * LIGHT_RADIUS**2) * np.array([1, 0.5, 0.25])
     np.testing.assert_allclose(np.array(material.radiance) * 683, ideal, rtol=0.02)
-    # The flux of a light of I in all directions is 4π I; that of a Lambertian surface π L A.
+    # The flux of a light of I in all directions is 4π I; a Lambertian surface emits π L A.
     flux = 683 * np.pi * solid.area * np.array(material.radiance)
     np.testing.assert_allclose(flux, 4 * np.pi * 100 * np.array([1, 0.5, 0.25]), rtol=1e-6)
 
@@ -326,8 +326,7 @@ def instanced(tmp_path, required=False, **attributes):
         for name, values in attributes.items()
     }
     gltf.quad(
-        translation=[0, 10, 0],
-        extensions={"EXT_mesh_gpu_instancing": {"attributes": indices}},
+        translation=[0, 10, 0], extensions={"EXT_mesh_gpu_instancing": {"attributes": indices}}
     )
     gltf.json["extensionsUsed"] = ["EXT_mesh_gpu_instancing"]
     if required:

@@ -94,7 +94,7 @@ def test_repeated_faces_go_and_pieces_face_outwards(model):
 
 
 def test_normals_are_smooth_where_the_file_asks_for_it(model):
-    """In a file that names no smoothing group they are those of the faces, as the format says."""
+    """In a file without smoothing groups they are the faces' normals, as the format says."""
     ball = trimesh.creation.icosphere(subdivisions=1)
     text = obj_text(ball, "a")
     mesh = model(text, "newmtl a").parts[0].mesh

@@ -17,16 +17,7 @@ from lumitree.lamp.importers.overrides import (
     select_parts,
 )
 from lumitree.lamp.meshes import Mesh
-from lumitree.lamp.parts import (
-    Diffuse,
-    Geometry,
-    Glass,
-    Material,
-    Medium,
-    Metal,
-    Part,
-    Principled,
-)
+from lumitree.lamp.parts import Diffuse, Geometry, Glass, Material, Medium, Metal, Part, Principled
 from lumitree.lamp.scene_writer import MaskedEmission
 
 
@@ -95,7 +86,7 @@ def test_what_is_not_named_stays(changed):
 
 
 def test_emission_follows_the_opacity_of_the_override(written):
-    """It is that of the file where the surface is present; a flux is kept."""
+    """The radiance of the file is kept where the surface is present; a flux is kept in all."""
     model = lamp()
     first, _ = model.materials
     model = dataclasses.replace(
@@ -105,7 +96,6 @@ def test_emission_follows_the_opacity_of_the_override(written):
     def emitted(lines):
         found = apply_overrides(model, written('[material."bulb glass"]\n' + lines))
         radiance = MaskedEmission().of(found.materials[1])
-        # Of a cube.
         return radiance[0], 6 * np.pi * radiance[1]
 
     assert emitted("opacity = 1")[0] == 2
@@ -136,7 +126,7 @@ def test_lumens_are_shared_by_all_copies_in_metres(mi, changed):
     model = lamp(box((2, 3, 4)), (np.eye(4), turn))
     text = "emitter = { lumens = 800, temperature = 2700 }"
     found = changed(text, model, 'units = "cm"').radiance
-    # Of 0.3 of the surface.
+    # 0.3 of the surface is present.
     assert flux_from_radiance(found, 0.3 * 260e-4) == pytest.approx(800)
     assert found[0] / found[1] == pytest.approx(np.divide(*blackbody_colour(2700)[:2]))
     white = changed("emitter = { lumens = 800 }", model, "units = 0.01").radiance

@@ -1,4 +1,6 @@
-"""Which pieces of a mesh are closed and solid, and their orientation."""
+"""Closed and solid pieces of a mesh, their orientation, and shading normals."""
+
+import warnings
 
 import numpy as np
 import pytest
@@ -6,7 +8,16 @@ import trimesh
 
 from lumitree.errors import LumitreeWarning
 from lumitree.lamp.importers import topology
-from lumitree.lamp.importers.topology import Pieces, count_solids, faces_to_turn, is_solid, weld
+from lumitree.lamp.importers.topology import (
+    Pieces,
+    count_solids,
+    crease_normals,
+    face_normals,
+    faces_to_turn,
+    is_solid,
+    turned_with_normals,
+    weld,
+)
 from lumitree.lamp.meshes import Mesh
 
 
@@ -111,3 +122,49 @@ def test_too_many_pieces_give_a_warning(monkeypatch):
     with pytest.warns(LumitreeWarning, match="material 'glass': too many closed pieces"):
         out = turned_out(positions, faces)
     assert min(volumes(positions, out)) > 0
+
+
+def normals_of(positions, faces, groups=None, crease=40.0):
+    groups = np.ones(len(faces), np.int64) if groups is None else groups
+    index, normals = crease_normals(positions, faces, Pieces(faces), groups, crease)
+    return normals[index]
+
+
+def test_creases_of_a_box_are_hard_and_of_a_ball_smooth():
+    box = trimesh.creation.box((1, 2, 3))
+    found = normals_of(box.vertices, box.faces)
+    np.testing.assert_allclose(found, np.repeat(box.face_normals[:, None], 3, 1), atol=1e-12)
+    positions, faces = ball()
+    np.testing.assert_allclose(normals_of(positions, faces), positions[faces], atol=0.02)
+
+
+def test_smoothing_groups_and_none():
+    positions, faces = ball()
+    flat = np.repeat(face_normals(positions, faces)[:, None], 3, axis=1)
+    np.testing.assert_allclose(normals_of(positions, faces, np.zeros(len(faces), int)), flat)
+    groups = 1 + (positions[faces].mean(axis=1)[:, 1] > 0)
+    found = normals_of(positions, faces, groups)
+    index, _ = crease_normals(positions, faces, Pieces(faces), groups)
+    assert not set(index[groups == 1].ravel()) & set(index[groups == 2].ravel())
+    assert not np.allclose(found, flat)
+
+
+def test_faces_without_area_do_no_harm():
+    positions = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 1, 0]], float)
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = normals_of(positions, faces)
+    np.testing.assert_allclose(np.linalg.norm(found, axis=-1), 1)
+    np.testing.assert_allclose(found[1], [[0, 0, 1]] * 3)
+
+
+def test_normals_follow_their_faces():
+    positions, faces = ball()
+    right = Mesh(positions, positions, faces)
+    for normals in (positions, -positions):
+        for wound, turn in ((faces, False), (faces[:, ::-1], True)):
+            given = Mesh(positions, normals, wound)
+            turned = turned_with_normals(given, np.full(len(faces), turn))
+            np.testing.assert_array_equal(turned.faces, right.faces)
+            np.testing.assert_array_equal(turned.normals, right.normals)

@@ -10,8 +10,13 @@ import pytest
 import lumitree
 from lumitree.asset.asset import EmittedSpectrum
 from lumitree.cli import main
-from lumitree.core.photometry import WAVELENGTHS, blackbody_spectrum, srgb_from_xyz, xyz_of_spectrum
-from lumitree.core.spectrum import sampled_spectrum
+from lumitree.core.photometry import (
+    WAVELENGTHS,
+    blackbody_spectrum,
+    sampled_spectrum,
+    srgb_from_xyz,
+    xyz_of_spectrum,
+)
 from lumitree.measure.photometry.colour import colour_figures, rendering_indices
 from support.lamps import AREA, GLASS, scene, sphere
 from support.tiny_bakes import LIGHT_FIELD

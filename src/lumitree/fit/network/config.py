@@ -5,10 +5,10 @@ import math
 from typing import Literal, get_args
 
 from lumitree.core.arguments import check_choice
-from lumitree.core.dataset import OPACITY_KINDS, OpacityKind
 from lumitree.core.harmonics import MAX_L
 from lumitree.core.transmittance import EMISSION_WEIGHTS, LAWS, EmissionWeights, Law
 from lumitree.errors import LumitreeError
+from lumitree.lamp.dataset import OPACITY_KINDS, OpacityKind
 
 # Error of a colour (Eq. 8). "hdr": error of radiance / L_max, relative to the predicted radiance;
 # "hdr_radiance": the same with the error in radiance units; "mse": squared error of

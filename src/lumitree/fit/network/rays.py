@@ -23,12 +23,11 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lumitree.core.dataset import Dataset, OpacityKind
-from lumitree.core.directions import orthographic_rays
 from lumitree.core.files import atomic_path
+from lumitree.core.frames import orthographic_rays
 from lumitree.core.reading import read_arrays
-from lumitree.core.visual_hull import visual_hull
 from lumitree.errors import LumitreeError
+from lumitree.lamp.dataset import Dataset, OpacityKind, visual_hull
 
 # Number of cells along the longest side of the box, whose length is 2 local units.
 HULL_RESOLUTION = 128
@@ -52,7 +51,7 @@ def dilated_hull(
     half_extents: ArrayLike,
     resolution: int = HULL_RESOLUTION,
 ) -> Occupancy:
-    """The visual hull, dilated by one cell; arguments as for `core.visual_hull`.
+    """The visual hull, dilated by one cell; arguments as for `visual_hull`.
 
     Because of the dilation, the lookup at the centre of a bin is valid for the whole bin.
     """

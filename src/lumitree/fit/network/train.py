@@ -22,7 +22,6 @@ import numpy as np
 import orbax.checkpoint as ocp
 from flax import nnx
 
-from lumitree.core.dataset import Dataset
 from lumitree.core.files import (
     WriteError,
     check_space,
@@ -47,6 +46,7 @@ from lumitree.fit.network.step import (
     psnr,
     state_sharding,
 )
+from lumitree.lamp.dataset import Dataset
 
 RECORD = "run.json"
 OCCUPANCY = "occupancy.npz"

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
-from lumitree.core.dataset import Dataset
 from lumitree.core.harmonics import Y_00, num_coefficients
 from lumitree.core.interruption import deferred_interrupt
 from lumitree.core.progress import progress
@@ -30,6 +29,7 @@ from lumitree.fit.octree.leaf_field import LEAVES, LeafField
 from lumitree.fit.octree.rays import RaySource, Subject, TracedRays
 from lumitree.fit.octree.saved_state import StateFile
 from lumitree.fit.octree.stored import StoredRays
+from lumitree.lamp.dataset import Dataset
 from lumitree.lamp.luminaire import Luminaire
 from lumitree.octree.build import build_children
 from lumitree.octree.leaves import leaf_cells

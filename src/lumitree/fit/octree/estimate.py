@@ -20,8 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.device import on_device
-from lumitree.core.directions import halton_direction
-from lumitree.core.frames import towards_viewer
+from lumitree.core.frames import halton_direction, towards_viewer
 from lumitree.core.harmonics import basis, basis_array, num_coefficients
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.core.transmittance import Law

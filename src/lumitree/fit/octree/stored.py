@@ -10,15 +10,14 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.dataset import Dataset, View
 from lumitree.core.device import on_device
-from lumitree.core.directions import orthographic_rays
+from lumitree.core.frames import orthographic_rays
 from lumitree.core.seeds import Purpose, SeedStream
-from lumitree.core.visual_hull import visual_hull
 from lumitree.errors import LumitreeError
 from lumitree.fit.octree.config import TILE_RAYS, TILE_SIDE
 from lumitree.fit.octree.estimate import inside_box
 from lumitree.fit.octree.rays import RayPairs, Rays, Subject, Wanted
+from lumitree.lamp.dataset import Dataset, View, visual_hull
 
 
 class StoredRays:

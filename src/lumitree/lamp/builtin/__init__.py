@@ -27,8 +27,7 @@ class Builtin(NamedTuple):
 _PAPER = "stand-in for the paper's"
 BUILTIN: dict[str, Builtin] = {
     "bulbs": Builtin(
-        "five clear glass bulbs with coiled filaments on a hanging frame, 0.33 m",
-        bulbs.build_bulbs,
+        "five clear glass bulbs with coiled filaments on a hanging frame, 0.33 m", bulbs.build_bulbs
     ),
     "dallas": Builtin(
         f"{_PAPER} Dallas: eight clear bulbs below a steel hoop, 0.65 m", bulbs.build_dallas

@@ -65,8 +65,7 @@ GLASS = Material("glass", Glass(ior=1.5))
 CRYSTAL = Material("crystal", Glass(ior=1.56))
 WAX = Material("wax", Diffuse((0.82, 0.76, 0.64)))
 OPAL_SHEET = Material(
-    "opal_sheet",
-    Principled((0.93, 0.88, 0.78), roughness=0.6, diffuse_transmission=1.1, thin=True),
+    "opal_sheet", Principled((0.93, 0.88, 0.78), roughness=0.6, diffuse_transmission=1.1, thin=True)
 )
 # Gold with a darker tint: Mitsuba has no data for brass.
 BRASS = Material("brass", Metal((0.95, 0.86, 0.86), 0.45, "Au", BECKMANN))

@@ -143,8 +143,8 @@ def _frame() -> Mesh:
             (_CORNER + 0.004, _TOP - 0.021, 0.006),
             (_CORNER + 0.006, _TOP + 0.009, 0.008),
         ):
-            ends = np.array([here, following]) * radius + [0, y, 0]
-            pieces.append(strut(ends[0], ends[1], thick))
+            start, end = np.array([here, following]) * radius + [0, y, 0]
+            pieces.append(strut(start, end, thick))
         eave, ridge = here * _CORNER + [0, _TOP + 0.01, 0], here * _NECK + [0, _ROOF_TOP, 0]
         pieces.append(strut(eave, ridge, 0.0045))
         candles = np.array([0.0, _FLOOR - 0.014, 0.0])

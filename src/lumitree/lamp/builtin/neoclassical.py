@@ -30,7 +30,6 @@ from lumitree.lamp.builtin.fittings import (
     strut,
 )
 from lumitree.lamp.meshes import (
-    Floats,
     Mesh,
     facets,
     join,
@@ -91,7 +90,8 @@ def pendant(length: float) -> tuple[Mesh, Mesh]:
         [0.86 * wide, -0.52 * body],
     ]
     pear += [[0.2 * wide, -0.04 * body], [0, 0]]
-    octagon = cut(_octagon(0.26 * length), 8, 0.5)
+    lower = 0.13 * length * np.array([[0, -1], [0.45, -0.9], [0.95, -0.35]])
+    octagon = cut(np.concatenate([lower, lower[::-1] * [1, -1]]), 8, 0.5)
     first, second = -0.055 * length, -0.055 * length - 0.26 * length
     drop = second - 0.035 * length
     above = moved(octagon, at(0, (first + second) / 2, 0))
@@ -130,12 +130,6 @@ def _pin(start: ArrayLike, end: ArrayLike, both: bool = False) -> Mesh:
     # A tube's domed end stands out by half its radius.
     gap = (_CLEARANCE + _PIN / 2) * axis
     return strut(start + gap if both else start, end - gap, _PIN, 6)
-
-
-def _octagon(length: float) -> Floats:
-    half = length / 2
-    lower = np.array([[0, -half], [0.45 * half, -0.9 * half], [0.95 * half, -0.35 * half]])
-    return np.concatenate([lower, lower[::-1] * [1, -1]])
 
 
 _RADIANCE = (24.0, 16.0, 8.6)

@@ -1,7 +1,7 @@
 """Faults that exported models often have: faces that are there more than once, and likely mistakes.
 
-Of faces in one place, as copies of an object, each counts once: every copy would emit and absorb
-light of its own. Faults that do not show by themselves are warned of, each with its remedy.
+A face counts once, however many copies are in one place: every copy would emit and absorb light.
+Faults that do not show by themselves are warned of, each with its remedy.
 """
 
 import dataclasses
@@ -79,16 +79,16 @@ def without_repeated(model: Geometry, sided: Collection[str], file: str) -> Geom
         copies[model.material(part).title] += [(part, at) for at in range(len(part.places))]
     used: dict[tuple[str, int], tuple[NDArray[np.bool_], NDArray[np.bool_]]] = {}
     within, dropped = {}, 0
-    for name, own in copies.items():
-        placed = [(part.placed(at), part.mesh.faces) for part, at in own]
+    for name, placements in copies.items():
+        placed = [(part.placed(at), part.mesh.faces) for part, at in placements]
         within[name] = reach(np.concatenate([vertices for vertices, _ in placed]))
         twice = _repeated_surfaces(placed, within[name], name in sided)
         single = [copy[0][copy[1]] for copy, again in zip(placed, twice, strict=True) if not again]
         keep, both = kept_faces(np.concatenate(single), within[name], name in sided)
         dropped += int((~keep).sum() - both.sum())
-        ends = np.cumsum([len(corners) for corners in single])[:-1]
-        masks = iter(zip(np.split(keep, ends), np.split(both, ends), strict=True))
-        for (part, at), again in zip(own, twice, strict=True):
+        splits = np.cumsum([len(corners) for corners in single])[:-1]
+        masks = iter(zip(np.split(keep, splits), np.split(both, splits), strict=True))
+        for (part, at), again in zip(placements, twice, strict=True):
             nothing = np.zeros(len(part.mesh.faces), np.bool_)
             used[part.name, at] = (nothing, nothing) if again else next(masks)
             dropped += len(nothing) * again
@@ -143,11 +143,11 @@ def _side(one: tuple[Floats, Indices], other: tuple[Floats, Indices], within: fl
     places = weld(np.concatenate([one[0], other[0]]), within)
     count = int(places.max()) + 1
     fields, moments = [], []
-    for (vertices, faces), own in zip((one, other), np.split(places, [split]), strict=True):
-        if len(np.unique(own)) < count:
+    for (vertices, faces), used in zip((one, other), np.split(places, [split]), strict=True):
+        if len(np.unique(used)) < count:
             return 0
         normals = area_normals(vertices, faces)
-        corners = own[faces].ravel()
+        corners = used[faces].ravel()
         fields.append([np.bincount(corners, np.repeat(axis, 3), count) for axis in normals.T])
         lengths = np.maximum(np.linalg.norm(normals, axis=1), 1e-300)
         moments.append((normals / lengths[:, None]).T @ normals)
@@ -195,19 +195,19 @@ def _thin_bodies(model: Geometry, overrides: Overrides) -> Iterator[tuple[str, s
         for part in model.parts
         for at in range(len(part.places))
     ]
-    told: set[str] = set()
+    warned: set[str] = set()
     for part in model.parts:
         material = model.material(part)
         title, solid, change = material.title, _as_solid(material.surface), overrides.of(material)
         overridden = change is not None and change.surface is not None
-        if title in told or solid is None or overridden:
+        if title in warned or solid is None or overridden:
             continue
         alike, others = (
-            [points for *copy, own, points in copies if copy != [part.name, 0] and keep(own, title)]
+            [p for *copy, name, p in copies if copy != [part.name, 0] and keep(name, title)]
             for keep in (operator.eq, operator.ne)
         )
         if has_body(dataclasses.replace(part.mesh, vertices=part.placed(0)), alike, others):
-            told.add(title)
+            warned.add(title)
             yield (
                 f"material {shown(title)!r} is glass without a volume, a thin sheet in glTF, but "
                 "its mesh is closed; if it is solid, or a wall with both sides",
@@ -229,8 +229,8 @@ def _as_solid(surface: Surface) -> str | None:
         return None
     shared = f"ior = {surface.ior:.4g}, roughness = {roughness:.4g}"
     if transmission < 1:
-        own = f"base_color = {_toml(colour)}, transmission = {transmission:.4g}"
-        return f"principled = {{ {shared}, {own} }}"
+        base = f"base_color = {_toml(colour)}, transmission = {transmission:.4g}"
+        return f"principled = {{ {shared}, {base} }}"
     # Light crosses both sides of a solid.
     return f"glass = {{ {shared}, tint = {_toml(np.sqrt(colour))}, thin = false }}"
 

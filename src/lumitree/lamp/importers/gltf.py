@@ -123,7 +123,7 @@ class _Reader:
         for index, nodes in meshes.items():
             self._mesh(index, nodes)
         if not self._parts:
-            raise LumitreeError(f"{self._document.name} holds no triangles in its scene")
+            raise LumitreeError(f"{self._document.name} has no triangles in its scene")
         return Geometry(tuple(self._parts), (*self._materials.all, *self._light_materials))
 
     def _light(self, index: int, nodes: list[Node]) -> None:
@@ -133,28 +133,30 @@ class _Reader:
         self._shapes += len(nodes)
         check_shapes(self._shapes, item.where)
         light = self._lights[index]
-        own = light.string("name", str(index))
-        name = self._part_names.unique(safe_name(f"light_{own}"))
-        objects = tuple(node.item.string("name", own) for node in nodes)
+        default = light.string("name", str(index))
+        name = self._part_names.unique(safe_name(f"light_{default}"))
+        objects = tuple(node.item.string("name", default) for node in nodes)
         worlds = [node.world for node in nodes]
         for part, material in light_parts(light, worlds, name, self._notes):
             title = self._material_names.unique(material.name)
             self._light_materials.append(dataclasses.replace(material, name=title))
-            own = name if part.name == name else self._part_names.unique(part.name)
-            part = dataclasses.replace(part, name=own, material=title, objects=objects)
-            self._parts.append(part)
+            unique = name if part.name == name else self._part_names.unique(part.name)
+            self._parts.append(
+                dataclasses.replace(part, name=unique, material=title, objects=objects)
+            )
 
     def _mesh(self, index: int, nodes: list[Node]) -> None:
         item = self._document.entry("meshes", index)
         if any(primitive.data.get("targets") for primitive in item.items("primitives")):
             self._notes.file("morph targets (meshes keep their base shape)")
-        own, copies = item.string("name", f"mesh_{index}"), []
+        default, copies = item.string("name", f"mesh_{index}"), []
         for node in nodes:
-            if _flattened(node.world):
+            linear = node.world[:3, :3]
+            if abs(np.linalg.det(linear)) <= 1e-12 * np.linalg.norm(linear) ** 3:
                 self._notes.file("meshes that are scaled to nothing")
             else:
-                copies.append(_Copy(node.world, node.item.string("name", own)))
-        name = nodes[0].item.string("name", own)
+                copies.append(_Copy(node.world, node.item.string("name", default)))
+        name = nodes[0].item.string("name", default)
         for primitive in item.items("primitives") if copies else []:
             self._primitive(primitive, name, copies)
 
@@ -208,11 +210,6 @@ def oriented_outwards(mesh: Mesh, where: str) -> Mesh:
     turn = np.zeros(len(first), np.bool_)
     turn[single] = faces_to_turn(mesh.vertices[representative], faces, Pieces(faces), where)
     return turned_with_normals(mesh, turn[first] ^ against)
-
-
-def _flattened(world: Floats) -> bool:
-    linear = world[:3, :3]
-    return bool(abs(np.linalg.det(linear)) <= 1e-12 * np.linalg.norm(linear) ** 3)
 
 
 def _placed(mesh: Mesh, copies: list[_Copy]) -> Iterator[tuple[Mesh, list[_Copy], float]]:

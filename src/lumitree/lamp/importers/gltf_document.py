@@ -71,11 +71,7 @@ class Item:
         return float(value)
 
     def numbers(
-        self,
-        key: str,
-        default: tuple[float, ...],
-        low: float = -math.inf,
-        high: float = math.inf,
+        self, key: str, default: tuple[float, ...], low: float = -math.inf, high: float = math.inf
     ) -> tuple[float, ...]:
         """As many finite numbers in [low, high] as there are defaults."""
         value = self.data.get(key, default)

@@ -27,6 +27,8 @@ Wrap = Literal["repeat", "mirror", "clamp"]
 _WRAPS: dict[int, Wrap] = {10497: "repeat", 33648: "mirror", 33071: "clamp"}
 Array = NDArray[np.floating]
 _FLOAT_BYTES = 4
+_LINEAR = (np.arange(256) / 255).astype(np.float32)
+_DECODED = linear_from_srgb(np.arange(256) / 255).astype(np.float32)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -293,17 +295,13 @@ def uv_transform(info: Item) -> Floats:
 
 def uv_set(info: Item) -> int:
     """Number of the texture coordinates that a texture info uses."""
-    own = info.integer("texCoord", 0)
+    number = info.integer("texCoord", 0)
     extension = info.extension("KHR_texture_transform")
-    return own if extension is None else extension.integer("texCoord", own)
+    return number if extension is None else extension.integer("texCoord", number)
 
 
 def _bytes(values: Array) -> NDArray[np.uint8]:
     return np.round(np.clip(values, 0, 1) * 255).astype(np.uint8)
-
-
-_LINEAR = (np.arange(256) / 255).astype(np.float32)
-_DECODED = linear_from_srgb(np.arange(256) / 255).astype(np.float32)
 
 
 class Layers:

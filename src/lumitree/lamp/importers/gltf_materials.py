@@ -8,14 +8,7 @@ import numpy as np
 from lumitree.core.photometry import LUMENS_PER_WATT
 from lumitree.errors import shown
 from lumitree.lamp.importers.gltf_document import Document, Item, Notes
-from lumitree.lamp.importers.gltf_maps import (
-    Array,
-    Layers,
-    Map,
-    Textures,
-    constant,
-    uv_transform,
-)
+from lumitree.lamp.importers.gltf_maps import Array, Layers, Map, Textures, constant, uv_transform
 from lumitree.lamp.parts import (
     RGB,
     Diffuse,
@@ -28,6 +21,13 @@ from lumitree.lamp.parts import (
     Texture,
     painted,
 )
+
+# Roughness below which a surface is smooth: alpha would be less than 0.001, the smallest of
+# Mitsuba's rough models.
+SMOOTH = 0.03
+# Limits of the index of refraction in the geometry of an asset. An attenuation colour of 0 has no
+# logarithm.
+_MIN_IOR, _MAX_IOR, _MIN_ATTENUATION = 1.001, 10.0, 1e-4
 
 
 @dataclasses.dataclass(frozen=True)
@@ -97,14 +97,6 @@ def _metallic(diffuse: Array, specular: Array) -> Array:
     b = brightness(diffuse) * strength / 0.96 + shiny - 0.08
     root = np.sqrt(np.maximum(b * b - 0.16 * (0.04 - shiny), 0))
     return np.where(shiny < 0.04, 0.0, np.clip((root - b) / 0.08, 0, 1))
-
-
-# Roughness below which a surface is smooth: alpha would be less than 0.001, the smallest of
-# Mitsuba's rough models.
-SMOOTH = 0.03
-# Limits of the index of refraction in the geometry of an asset. An attenuation colour of 0 has no
-# logarithm.
-_MIN_IOR, _MAX_IOR, _MIN_ATTENUATION = 1.001, 10.0, 1e-4
 
 
 @dataclasses.dataclass(frozen=True)
@@ -182,12 +174,7 @@ def _glass(layers: Layers, base: Base, volume: Volume, solid: bool, thickness: f
 
 
 def _principled(
-    layers: Layers,
-    textures: Textures,
-    base: Base,
-    transmission: Map,
-    scattered: float,
-    thin: bool,
+    layers: Layers, textures: Textures, base: Base, transmission: Map, scattered: float, thin: bool
 ) -> Principled:
     roughness, anisotropy = _anisotropy(layers, base.roughness)
     clearcoat, clearcoat_roughness = _clearcoat(layers)
@@ -274,8 +261,8 @@ def _clearcoat(layers: Layers) -> tuple[Map, float]:
     if coat.black():
         return coat, 0.0
     rough = layers.value(extension, "clearcoatRoughness", 0.0, "G")
-    own = extension.item("clearcoatNormalTexture").index("index")
-    if own != layers.item.item("normalTexture").index("index"):
+    normals = extension.item("clearcoatNormalTexture").index("index")
+    if normals != layers.item.item("normalTexture").index("index"):
         layers.note("normals of the clear coat (the material's are used)")
     return coat, layers.single(rough, "texture of the clear coat's roughness")[0]
 

@@ -16,6 +16,16 @@ MAX_DECODED_BYTES = 2**30
 MAX_UNSTORED = 2**20
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _LENGTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+MAX_DEPTH = 256
+_IDENTITY = tuple(np.eye(4).ravel().tolist())
+# Attributes of an instance: components, and the value of an instance without it.
+_ATTRIBUTES = {
+    "TRANSLATION": (0.0, 0.0, 0.0),
+    "ROTATION": (0.0, 0.0, 0.0, 1.0),
+    "SCALE": (1.0, 1.0, 1.0),
+}
+MAX_TRIANGLES = 20_000_000
+_TRIANGLES, _STRIP, _FAN = 4, 5, 6
 
 
 class Accessors:
@@ -119,10 +129,6 @@ def _dtype(item: Item) -> np.dtype:
     return np.dtype(_COMPONENTS[component])
 
 
-MAX_DEPTH = 256
-_IDENTITY = tuple(np.eye(4).ravel().tolist())
-
-
 @dataclasses.dataclass(frozen=True)
 class Node:
     """A node of the scene; `world` is `world_from_node` [4, 4]."""
@@ -137,7 +143,12 @@ def scene_nodes(document: Document) -> list[Node]:
     The default scene is the one the file names, else its first, else all root nodes. Nodes must
     form a forest of limited depth.
     """
-    parents = _parents(document)
+    parents: dict[int, int] = {}
+    for index, node in enumerate(document.root.items("nodes")):
+        for child in node.indices("children"):
+            if child in parents:
+                raise node.error(f"has child {child}, which already has another parent")
+            parents[child] = index
     pending = [(root, np.eye(4), 0) for root in reversed(_roots(document, parents))]
     nodes = []
     while pending:
@@ -151,16 +162,6 @@ def scene_nodes(document: Document) -> list[Node]:
         nodes.append(Node(item, world))
         pending += [(child, world, depth + 1) for child in reversed(item.indices("children"))]
     return nodes
-
-
-def _parents(document: Document) -> dict[int, int]:
-    parents: dict[int, int] = {}
-    for index, node in enumerate(document.root.items("nodes")):
-        for child in node.indices("children"):
-            if child in parents:
-                raise node.error(f"has child {child}, which already has another parent")
-            parents[child] = index
-    return parents
 
 
 def _roots(document: Document, parents: dict[int, int]) -> list[int]:
@@ -219,14 +220,6 @@ def transforms(translation: ArrayLike, rotation: ArrayLike, scale: ArrayLike, it
     return local
 
 
-# Attributes of an instance: components, and the value of an instance without it.
-_ATTRIBUTES = {
-    "TRANSLATION": (0.0, 0.0, 0.0),
-    "ROTATION": (0.0, 0.0, 0.0, 1.0),
-    "SCALE": (1.0, 1.0, 1.0),
-}
-
-
 def instances(node: Node, accessors: Accessors, notes: Notes, others: int) -> list[Node]:
     """The node in the places of its instances; the node itself where it has none.
 
@@ -255,10 +248,6 @@ def instances(node: Node, accessors: Accessors, notes: Notes, others: int) -> li
     if abs(worlds).max() > MAX_MAGNITUDE:
         raise attributes.error(f"scales or moves instances beyond {MAX_MAGNITUDE:g}")
     return [dataclasses.replace(node, world=world) for world in worlds]
-
-
-MAX_TRIANGLES = 20_000_000
-_TRIANGLES, _STRIP, _FAN = 4, 5, 6
 
 
 def read_triangles(accessors: Accessors, primitive: Item, uv_set: int) -> Mesh | None:

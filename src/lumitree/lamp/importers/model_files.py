@@ -26,6 +26,16 @@ _MAX_COMPONENTS = 32
 
 # Files that models have named in the innermost block of `noted_files`.
 _noted: contextvars.ContextVar[set[Path] | None] = contextvars.ContextVar("noted", default=None)
+MAX_IMAGE_PIXELS = 8192 * 8192
+# Largest size of everything that is decoded and computed for one model; four images of 4096²
+# pixels, used in every role, need less.
+MAX_TOTAL_BYTES = 5 * 2**28
+# Each scan of a progressive JPEG file, of which a few bytes are enough, takes the time of a whole
+# image. Programs write about ten.
+_MAX_SCANS = 100
+# Markers that a length follows, and the end of the image.
+_JPEG_MARKER = re.compile(rb"\xff([^\x00\x01\xd0-\xd8\xff])")
+_BLOCK_PIXELS = 2**20
 
 
 @contextlib.contextmanager
@@ -139,18 +149,6 @@ def _components(name: str) -> tuple[list[str], bool]:
 
 def _folded(name: str) -> str:
     return unicodedata.normalize("NFC", name).casefold()
-
-
-MAX_IMAGE_PIXELS = 8192 * 8192
-# Largest size of everything that is decoded and computed for one model; four images of 4096²
-# pixels, used in every role, need less.
-MAX_TOTAL_BYTES = 5 * 2**28
-# Each scan of a progressive JPEG file, of which a few bytes are enough, takes the time of a whole
-# image. Programs write about ten.
-_MAX_SCANS = 100
-# Markers that a length follows, and the end of the image.
-_JPEG_MARKER = re.compile(rb"\xff([^\x00\x01\xd0-\xd8\xff])")
-_BLOCK_PIXELS = 2**20
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -30,9 +30,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.materials import VertexColours
+from lumitree.core.file_kinds import in_utf8
 from lumitree.core.images import linear_from_srgb
 from lumitree.core.reading import read_bytes
-from lumitree.core.text import in_utf8
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.lamp.importers.model_files import (
     MAX_MODEL_BYTES,
@@ -230,10 +230,7 @@ class ObjFolder:
         if path is None:
             return None
         return self._images.decoded(
-            name,
-            lambda: read_bytes(path, "an image", MAX_MODEL_BYTES),
-            shown(path, 300),
-            _FORMATS,
+            name, lambda: read_bytes(path, "an image", MAX_MODEL_BYTES), shown(path, 300), _FORMATS
         )
 
     def made(self, name: str, role: Hashable, size: int, make: Callable[[], NDArray]) -> NDArray:

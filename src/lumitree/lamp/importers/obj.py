@@ -16,12 +16,7 @@ from numpy.typing import NDArray
 
 from lumitree.errors import LumitreeWarning, shown, shown_names
 from lumitree.lamp.importers.faults import kept_faces, warn_of_repeated, with_reversed
-from lumitree.lamp.importers.mtl import (
-    MtlMaterial,
-    ObjFolder,
-    material,
-    parse_mtl,
-)
+from lumitree.lamp.importers.mtl import MtlMaterial, ObjFolder, material, parse_mtl
 from lumitree.lamp.importers.obj_text import ObjFile, parse_obj
 from lumitree.lamp.importers.polygons import triangulate
 from lumitree.lamp.importers.topology import (
@@ -41,6 +36,8 @@ from lumitree.lamp.parts import Geometry, Material, Names, Part, Texture, check_
 # Sharpest angle, degrees, across which shading is smooth in a file that does not ask for it: faces
 # of one plane share their vertices.
 _FLAT = 0.1
+_UNNAMED = "default"
+_MAX_NAME = 60
 
 
 @dataclasses.dataclass(frozen=True)
@@ -101,19 +98,19 @@ def _cut(
     for size in np.unique(file.sizes[chosen]):
         polygons = chosen[file.sizes[chosen] == size]
         by_size.append((polygons, file.corners[starts[polygons][:, None] + np.arange(size)]))
-    used = np.unique(np.concatenate([own[..., 0].ravel() for _, own in by_size]))
+    used = np.unique(np.concatenate([corners_of[..., 0].ravel() for _, corners_of in by_size]))
     within = reach(file.positions[used])
-    for polygons, own in by_size:
-        keep, both = kept_faces(file.positions[own[..., 0]], within, emits)
+    for polygons, corners_of in by_size:
+        keep, both = kept_faces(file.positions[corners_of[..., 0]], within, emits)
         repeated += int((~keep).sum() - both.sum())
-        own, polygons, both = own[keep], polygons[keep], both[keep]
-        pick, polygon = triangulate(file.positions[own[..., 0]])
-        corners.append(own[polygon[:, None], pick])
+        corners_of, polygons, both = corners_of[keep], polygons[keep], both[keep]
+        pick, polygon = triangulate(file.positions[corners_of[..., 0]])
+        corners.append(corners_of[polygon[:, None], pick])
         groups.append(file.smoothing[polygons[polygon]])
         doubled.append(both[polygon])
     every = np.concatenate(corners)
-    ends = places[every[..., 0]]
-    proper = (ends != np.roll(ends, 1, axis=1)).all(axis=1)
+    at = places[every[..., 0]]
+    proper = (at != np.roll(at, 1, axis=1)).all(axis=1)
     return _Triangles(
         every[proper],
         np.concatenate(groups)[proper],
@@ -219,10 +216,6 @@ def _distinct(keys: list[Indices]) -> tuple[Indices, Indices]:
         combined = index * (int(key.max()) + 2) + key + 1
         _, first, index = np.unique(combined, return_index=True, return_inverse=True)
     return np.stack([key[first] for key in keys], axis=1), index
-
-
-_UNNAMED = "default"
-_MAX_NAME = 60
 
 
 def read_obj(path: str | os.PathLike[str], emitting: Collection[str] = ()) -> Geometry:

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from lumitree.core.file_kinds import in_utf8
 from lumitree.core.images import linear_from_srgb
 from lumitree.core.reading import read_bytes
-from lumitree.core.text import in_utf8
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.lamp.importers.model_files import MAX_MODEL_BYTES
 from lumitree.lamp.importers.polygons import MAX_CORNERS

@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 import numpy as np
 
 from lumitree.asset.materials import CONDUCTORS
+from lumitree.core.arguments import UNITS
 from lumitree.core.frames import similarity
 from lumitree.core.photometry import (
     MAX_TEMPERATURE,
@@ -22,7 +23,6 @@ from lumitree.core.photometry import (
     radiance_from_flux,
 )
 from lumitree.core.toml_file import Range, converted, read_toml
-from lumitree.core.units import UNITS
 from lumitree.errors import LumitreeError, LumitreeWarning, shown, shown_names
 from lumitree.lamp.importers.topology import count_solids
 from lumitree.lamp.meshes import Floats, Mesh, area_normals, join
@@ -104,15 +104,18 @@ def apply_overrides(model: Geometry, overrides: Overrides) -> Geometry:
             )
         changes |= dict.fromkeys(titles, change)
     model = _in_metres(model, overrides)
-    own = [(each, changes.get(each.title, MaterialOverride())) for each in model.materials]
-    materials = tuple(_resurfaced(model, each, change) for each, change in own)
-    # A flux is emitted by what is present of the surfaces as they are now.
-    model = dataclasses.replace(model, materials=materials)
-    materials = tuple(
-        _lit(model, each, change, overrides.file)
-        for each, (_, change) in zip(materials, own, strict=True)
-    )
-    return dataclasses.replace(model, materials=materials)
+    materials = [
+        _resurfaced(model, each, changes[each.title]) if each.title in changes else each
+        for each in model.materials
+    ]
+    # A flux is emitted by the surfaces as they are now, where they are present.
+    model = dataclasses.replace(model, materials=tuple(materials))
+    for at, each in enumerate(materials):
+        change = changes.get(each.title)
+        if change is not None and change.emission is not None:
+            radiance = _radiance(model, each.title, change.emission, overrides.file)
+            materials[at] = dataclasses.replace(each, radiance=radiance)
+    return dataclasses.replace(model, materials=tuple(materials))
 
 
 def sided_materials(model: Geometry, overrides: Overrides) -> set[str]:
@@ -141,10 +144,10 @@ def select_parts(model: Geometry, keep: Sequence[str], drop: Sequence[str], file
     copies = [(part, at) for part in model.parts for at in range(len(part.places))]
     names = []
     for part, at in copies:
-        own = [part.objects[at]] if part.objects else []
+        choices = [part.objects[at]] if part.objects else []
         # Also the name of a part of an object of another name.
-        own += [] if part.name in objects else [part.name]
-        names.append(tuple(dict.fromkeys([*own, model.material(part).title, part.material])))
+        choices += [] if part.name in objects else [part.name]
+        names.append(tuple(dict.fromkeys([*choices, model.material(part).title, part.material])))
     chosen = select_names(names, keep, drop, file, "part or material")
     kept: dict[str, list[int]] = {}
     for (part, at), wanted in zip(copies, chosen, strict=True):
@@ -232,21 +235,14 @@ def _in_metres(model: Geometry, overrides: Overrides) -> Geometry:
     if scale == 1 and overrides.up == "y":
         return model
     upright = np.eye(3) if overrides.up == "y" else np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
-    matrix = np.eye(4)
-    matrix[:3, :3] = scale * upright
-    return Geometry(
-        tuple(_moved(part, matrix, scale) for part in model.parts),
-        tuple(_rescaled(material, scale) for material in model.materials),
-    )
-
-
-def _moved(part: Part, matrix: Floats, scale: float) -> Part:
-    """The part in a model that a similarity of this scale has changed."""
-    places = [matrix @ place for place in part.places]
-    if part.in_metres:
-        own = similarity(np.eye(3), 1 / scale, np.zeros(3))
-        places = [place @ own for place in places]
-    return dataclasses.replace(part, places=tuple(places))
+    matrix = similarity(upright, scale, np.zeros(3))
+    unscaled = similarity(np.eye(3), 1 / scale, np.zeros(3))
+    parts = []
+    for part in model.parts:
+        mesh = unscaled if part.in_metres else np.eye(4)
+        places = tuple(matrix @ place @ mesh for place in part.places)
+        parts.append(dataclasses.replace(part, places=places))
+    return Geometry(tuple(parts), tuple(_rescaled(each, scale) for each in model.materials))
 
 
 def _rescaled(material: Material, scale: float) -> Material:
@@ -254,16 +250,13 @@ def _rescaled(material: Material, scale: float) -> Material:
     glass = material.surface
     if not isinstance(glass, Glass) or glass.medium is None:
         return material
-    medium = dataclasses.replace(
-        glass.medium,
-        absorption=_divided(glass.medium.absorption, scale),
-        scattering=_divided(glass.medium.scattering, scale),
-    )
+
+    def divided(colour: RGB) -> RGB:
+        return (colour[0] / scale, colour[1] / scale, colour[2] / scale)
+
+    medium = glass.medium
+    medium = Medium(divided(medium.absorption), divided(medium.scattering), medium.anisotropy)
     return dataclasses.replace(material, surface=dataclasses.replace(glass, medium=medium))
-
-
-def _divided(colour: RGB, divisor: float) -> RGB:
-    return (colour[0] / divisor, colour[1] / divisor, colour[2] / divisor)
 
 
 def _resurfaced(model: Geometry, material: Material, change: MaterialOverride) -> Material:
@@ -279,13 +272,6 @@ def _resurfaced(model: Geometry, material: Material, change: MaterialOverride) -
     if change.opacity is not None:
         material = dataclasses.replace(material, opacity=change.opacity)
     return material
-
-
-def _lit(model: Geometry, material: Material, change: MaterialOverride, file: str) -> Material:
-    if change.emission is None:
-        return material
-    radiance = _radiance(model, material.title, change.emission, file)
-    return dataclasses.replace(material, radiance=radiance)
 
 
 def _settled(model: Geometry, title: str, change: MaterialOverride) -> Surface:

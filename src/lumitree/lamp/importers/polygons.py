@@ -12,7 +12,7 @@ Indices = NDArray[np.int64]
 MAX_CORNERS = 2000
 # Factor by which an exchange of diagonals has to raise the lower height; with less, long combs
 # take a quadratic number of exchanges.
-_GAIN = 1.5
+_LEAST_RATIO = 1.5
 
 
 def triangulate(points: Floats) -> tuple[Indices, Indices]:
@@ -70,18 +70,18 @@ def _flattened(points: Floats) -> Floats:
 def _cut(points: Floats) -> Indices:
     """Triangles [T, 3] of one counter-clockwise polygon [N, 2]."""
     size = len(points)
-    ends = np.array([size], np.uint32)
-    triangles = mapbox_earcut.triangulate_float64(points, ends).astype(np.int64).reshape(-1, 3)
+    rings = np.array([size], np.uint32)
+    triangles = mapbox_earcut.triangulate_float64(points, rings).astype(np.int64).reshape(-1, 3)
     # earcut may reverse the orientation of a polygon that has almost no area.
     steps = (np.roll(triangles, -1, axis=1) - triangles) % size
     if (steps == size - 1).sum() > (steps == 1).sum():
         triangles = triangles[:, ::-1]
     found = [tuple(triangle) for triangle in triangles[(steps != 0).all(axis=1)].tolist()]
-    found += _left_out(found, size)
+    found += _missing_triangles(found, size)
     return np.array(_flipped(points, found), np.int64)
 
 
-def _left_out(triangles: list[tuple[int, ...]], size: int) -> list[tuple[int, ...]]:
+def _missing_triangles(triangles: list[tuple[int, ...]], size: int) -> list[tuple[int, ...]]:
     """Triangles between the polygon's outline and the outline of `triangles`.
 
     earcut drops corners of 180 degrees. If an edge of a neighbouring polygon ends in such a corner,
@@ -126,7 +126,7 @@ def _flipped(points: Floats, triangles: list[tuple[int, ...]]) -> list[tuple[int
         at = waiting.pop()
         for start, stop in _edges(triangles[at]):
             other = owner.get((stop, start))
-            # `owner` also holds edges of triangles that have since been exchanged.
+            # `owner` also has edges of triangles that have since been exchanged.
             if other is None or (stop, start) not in _edges(triangles[other]):
                 continue
             (apex,) = {*triangles[at]} - {start, stop}
@@ -134,7 +134,7 @@ def _flipped(points: Floats, triangles: list[tuple[int, ...]]) -> list[tuple[int
             pair = (apex, start, beyond), (beyond, stop, apex)
             before = min(_height(points, triangles[place]) for place in (at, other))
             after = min(_height(points, new) for new in pair)
-            if apex != beyond and after > _GAIN * max(before, 0.0):
+            if apex != beyond and after > _LEAST_RATIO * max(before, 0.0):
                 for place, new in zip((at, other), pair, strict=True):
                     triangles[place] = new
                     owner.update(dict.fromkeys(_edges(new), place))

@@ -51,6 +51,8 @@ _MAX_NESTING_WORK = 2_000_000_000
 _MAX_BODIES = 32
 # Vertices of a piece that must all lie inside another piece.
 _NESTING_PROBES = 8
+# Sharpest angle between the normals of two faces, degrees, across which shading is smooth.
+CREASE = 40.0
 
 
 def weld(positions: Floats, reach: float = 0.0) -> Indices:
@@ -97,9 +99,9 @@ def repeats(corners: Floats, within: float) -> tuple[Indices, NDArray[np.bool_]]
     """
     first, turned = _in_one_place(corners, within)
     if turned.any():
-        alone = np.bincount(first, minlength=len(first))[first] == 1
+        single = np.bincount(first, minlength=len(first))[first] == 1
         sheet = _sheets(corners, within, first)
-        kept = turned & (np.bincount(sheet, alone) > 0)[sheet]
+        kept = turned & (np.bincount(sheet, single) > 0)[sheet]
         first[kept], turned[kept] = np.flatnonzero(kept), False
     return first, turned
 
@@ -128,8 +130,8 @@ def _in_one_place(corners: Floats, within: float) -> tuple[Indices, NDArray[np.b
     chosen = np.flatnonzero(np.bincount(near)[near] > 1)
     if not len(chosen):
         return first, turned
-    own = corners[chosen]
-    places = weld(own.reshape(-1, 3), within).reshape(own.shape[:2])
+    near_ones = corners[chosen]
+    places = weld(near_ones.reshape(-1, 3), within).reshape(near_ones.shape[:2])
     sets = np.sort(places, axis=1)
     # Faces too small for this comparison would all look alike.
     small = (np.diff(sets, axis=1) == 0).any(axis=1)
@@ -139,9 +141,9 @@ def _in_one_place(corners: Floats, within: float) -> tuple[Indices, NDArray[np.b
     same = np.empty(len(sets), np.int64)
     same[order] = order[new][np.cumsum(new) - 1]
     same[small] = np.flatnonzero(small)
-    first[chosen], turned[chosen] = chosen[same], _turned(own, places, same)
+    first[chosen], turned[chosen] = chosen[same], _turned(near_ones, places, same)
     if small.any() and within > 0:
-        finer, turned[chosen[small]] = _in_one_place(own[small], 0.0)
+        finer, turned[chosen[small]] = _in_one_place(near_ones[small], 0.0)
         first[chosen[small]] = chosen[small][finer]
     return first, turned
 
@@ -171,16 +173,16 @@ class Pieces:
     """
 
     def __init__(self, faces: Indices) -> None:
-        ends = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-        low, high = ends.min(axis=1), ends.max(axis=1)
+        edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+        low, high = edges.min(axis=1), edges.max(axis=1)
         key = low * (int(high.max()) + 1) + high
         order = np.argsort(key, kind="stable")
         same = np.diff(key[order]) == 0
         self.pairs = np.stack([order[:-1][same], order[1:][same]], axis=1)
         self.label = connected(self.pairs // 3, len(faces))
-        edge = np.empty(len(ends), np.int64)
+        edge = np.empty(len(edges), np.int64)
         edge[order] = np.cumsum(np.concatenate([[0], ~same]))
-        forward = np.where(ends[:, 0] < ends[:, 1], 1, -1)
+        forward = np.where(edges[:, 0] < edges[:, 1], 1, -1)
         faces_at = np.bincount(edge)[edge]
         balanced = np.bincount(edge, forward)[edge] == 0
         owner, count = np.repeat(self.label, 3), int(self.label.max()) + 1
@@ -226,10 +228,10 @@ def has_body(mesh: Mesh, alike: Sequence[Floats], others: Sequence[Floats]) -> b
     order = np.argsort(label, kind="stable")
     corners = mesh.vertices[mesh.faces[order]]
     pieces = np.split(corners, np.cumsum(np.bincount(label))[:-1])
-    own = [probes(piece.reshape(-1, 3)) for piece in pieces]
+    points = [probes(piece.reshape(-1, 3)) for piece in pieces]
     for at in range(0, len(pieces), -(-len(pieces) // _MAX_BODIES)):
         piece = pieces[at]
-        if any(_encloses(piece, each) for each in (*own[:at], *own[at + 1 :], *alike)):
+        if any(_encloses(piece, each) for each in (*points[:at], *points[at + 1 :], *alike)):
             return True
         if not any(_encloses(piece, each) for each in others):
             return True
@@ -317,10 +319,6 @@ def _encloses(triangles: Floats, points: Floats) -> bool:
         if abs(turns) < 0.5:
             return False
     return True
-
-
-# Sharpest angle between the normals of two faces, degrees, across which shading is smooth.
-CREASE = 40.0
 
 
 def face_normals(positions: Floats, faces: Indices) -> Floats:

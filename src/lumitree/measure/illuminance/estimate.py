@@ -57,11 +57,11 @@ _SUMS, _MAX_SUMS, _SUM_PART = 16, 1 << 10, 0.3
 _ENCLOSED = 0.1
 # Passes in which such a receiver is searched for light before it counts as inside.
 _SEARCHES = 16
-# What has happened fewer times has a variance that is not known yet. A receiver to which no light
-# has come gets the second number of samples at least, and all together do if none has got any that
-# is not summed; none gets more than the third for what has not happened.
+# Events seen fewer than `_FEW` times have no usable variance estimate. A receiver without light
+# gets at least `_UNSEEN` samples (so do all together, if none has any light that is not summed),
+# and at most `_MAX_UNSEEN` samples in search of unseen events.
 _FEW, _UNSEEN, _MAX_UNSEEN = 8, 1 << 12, 1 << 14
-# Part by which a sample that nothing dims may differ from itself, by the order of factors.
+# Relative rounding error of the light of an unoccluded sample, whose factors may come in any order.
 _ROUNDING = 1e-5
 # Errors are relative to the illuminance, but to no less than this part of the mean.
 FLOOR = 0.1

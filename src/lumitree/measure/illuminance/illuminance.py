@@ -10,15 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lumitree.core.arguments import check_items, check_range
-from lumitree.core.backend import load_rgb
+from lumitree.core.arguments import check_items, check_range, metres_of
+from lumitree.core.backend import in_turn, load_rgb
 from lumitree.core.files import FilePath, check_writable, write_bytes, write_json
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
-from lumitree.core.results import Result, plain
+from lumitree.core.results import Result, Stopwatch, plain
 from lumitree.core.seeds import check_seed
-from lumitree.core.stopwatch import Stopwatch
-from lumitree.core.turns import in_turn
-from lumitree.core.units import metres_of
 from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown, shown_names
 from lumitree.measure.illuminance.areas import Plane, Receivers, Surface, chosen_shapes, collect
 from lumitree.measure.illuminance.figures import AreaFigures

@@ -11,15 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
-from lumitree.core.arguments import check_choice, check_count
-from lumitree.core.backend import load_rgb
+from lumitree.core.arguments import check_choice, check_count, metres_of
+from lumitree.core.backend import in_turn, load_rgb
 from lumitree.core.files import FilePath, check_writable
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
-from lumitree.core.results import ImageResult
+from lumitree.core.results import ImageResult, Stopwatch
 from lumitree.core.seeds import check_seed
-from lumitree.core.stopwatch import Stopwatch
-from lumitree.core.turns import in_turn
-from lumitree.core.units import metres_of
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.formats.symmetry import EDGE
 from lumitree.formats.type_c import MIN_STEP, Grid, IntensityDistribution

@@ -30,10 +30,10 @@ from lumitree.core.photometry import (
     FILM_LUMINANCE,
     LUMA,
     WAVELENGTHS,
+    sampled_spectrum,
     srgb_from_xyz,
     xyz_of_spectrum,
 )
-from lumitree.core.spectrum import sampled_spectrum
 
 # Condition number of A above which S has not enough colours.
 _MAX_CONDITION = 1e3

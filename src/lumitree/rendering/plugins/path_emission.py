@@ -48,7 +48,7 @@ def sample_emitter(
     active = vertex.active_surface & mi.has_flag(vertex.bsdf.flags(), mi.BSDFFlags.Smooth)
     scene.layers.add_surface(path.record, vertex.si, path.β, active)
     active = (active | vertex.active_medium) & ~vertex.last
-    # Light passes an opaque surface on neither side of its horizon.
+    # An opaque surface transmits no light, on either side of its horizon.
     n = mi.Vector3f(vertex.si.n)
     normal = dr.select(vertex.opaque, n * -dr.sign(dr.dot(n, path.ray.d)), 0)
     # A lamp lights its own surfaces where the path shows them. Else its light field has that light.

@@ -28,12 +28,12 @@ Symbols
     V   volume of the part of a cell that is inside the lamp's box. A cell adds
         p (r₁³ - r₀³) / 3V to the density of a direction whose ray is in it from r₀ to r₁
     a   p / V: points at a distance r are sampled with density a r² per steradian and length
-    b   what stands for the density of a direction sampled by the BSDF, per steradian and length.
+    b   density of a direction by the BSDF, divided by a length: per steradian and length.
         With the balance heuristic a sampled point has the weight I f / (V (a r² + b)), and a point
         of a ray that was sampled by the BSDF has a part b / (a r² + b) of its light
 
 Where the lamp's own emitters are in the scene, its straight light is traced (`straight_light`), and
-the field is that of the bent light alone.
+the field gives the bent light alone.
 """
 
 from __future__ import annotations

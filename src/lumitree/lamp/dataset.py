@@ -5,6 +5,9 @@
 
 Poses follow NeRF's convention (camera x right, y up, looking along -z) in the luminaire's local
 frame. Cameras are orthographic; their images are square and have the same width.
+
+The visual hull is the region that the views do not show to be empty. The *footprint* of a cell is
+the set of pixels of a view onto which it projects.
 """
 
 import dataclasses
@@ -14,12 +17,11 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from lumitree.core.arguments import MAX_PIXELS_A_SIDE
-from lumitree.core.directions import FIRST_TEST_INDEX
 from lumitree.core.files import write_json
-from lumitree.core.frames import MAX_SCALE, LocalFrame, file_keys, file_members
+from lumitree.core.frames import FIRST_TEST_INDEX, MAX_SCALE, LocalFrame, file_keys, file_members
 from lumitree.core.images import max_radiance, read_exr, write_exr
 from lumitree.core.reading import Record, label, parse_json, read_bytes
 from lumitree.errors import LumitreeError, shown
@@ -47,7 +49,7 @@ class Frame:
 
     Attributes:
         file: name of its file.
-        halton_index: index of its direction, see `core.directions`.
+        halton_index: index of its direction, see `core.frames.halton_direction`.
         local_from_camera: 4 rows of 4.
     """
 
@@ -250,3 +252,74 @@ def _parse_frame(value: Any) -> Frame:
         halton_index=record.integer("halton_index"),
         local_from_camera=tuple(map(tuple, record.array("proxy_from_camera", 4, 4).tolist())),
     )
+
+
+def visual_hull(
+    views: Iterable[tuple[NDArray[np.float64], NDArray[np.bool_]]],
+    half_width: float,
+    half_extents: ArrayLike,
+    resolution: int,
+) -> NDArray[np.bool_]:
+    """Cells [nx, ny, nz] of a box that no view shows to be empty.
+
+    A cell is removed if in some view all pixels of its footprint, and of a margin of one pixel
+    around it, are background. No cell that a captured ray hit is removed.
+
+    Args:
+        views: pairs of `local_from_camera` [4, 4] and mask [H, H], true where a ray hit anything.
+        half_width: half the side of the views, local units.
+        half_extents: [3] half the sides of the box, local units.
+        resolution: number of cells along 2 local units.
+    """
+    half = np.asarray(half_extents, np.float64)
+    shape = np.maximum(np.ceil(half * resolution), 1).astype(int)
+    # Only the remaining cells are projected, so each view costs less than the one before.
+    alive = np.stack(np.unravel_index(np.arange(shape.prod()), shape)).astype(np.int16)
+    for pose, mask in views:
+        size = mask.shape[0]
+        # Pixels per local unit; rows are counted downwards, against the camera's y.
+        scale = size / (2 * half_width)
+        row, row_reach = _footprint(alive, shape, half, -scale * pose[:, 1], pose, size)
+        column, column_reach = _footprint(alive, shape, half, scale * pose[:, 0], pose, size)
+        near = _max_filter(_max_filter(mask, row_reach).T, column_reach).T
+        # A cell outside of the image is kept.
+        kept = (row < 0) | (row >= size) | (column < 0) | (column >= size)
+        kept[~kept] = near[row[~kept], column[~kept]]
+        alive = alive[:, kept]
+    cells = np.zeros(shape, bool)
+    cells[tuple(alive)] = True
+    return cells
+
+
+def _footprint(
+    cells: NDArray[np.int16],
+    shape: NDArray[np.int_],
+    half: NDArray[np.float64],
+    slope: NDArray[np.float64],
+    pose: NDArray[np.float64],
+    size: int,
+) -> tuple[NDArray[np.int32], int]:
+    """Projection of cells onto one axis of a view, with the pose `local_from_camera`.
+
+    Args:
+        cells: [3, N] indices in a grid of `shape` over the box of half extents `half`.
+        slope: [4] pixels per local unit along x, y and z; the last element is not used.
+
+    Returns:
+        Pixel [N] of each cell's centre, and half the width of its footprint with the margin, in
+        pixels.
+    """
+    pixel = np.full(cells.shape[1], size / 2 - slope[:3] @ pose[:3, 3], np.float32)
+    for index, count, extent, factor in zip(cells, shape, half, slope[:3], strict=True):
+        centres = ((np.arange(count) + 0.5) / count * 2 - 1) * extent * factor
+        pixel += centres.astype(np.float32)[index]
+    reach = int(np.ceil(np.abs(slope[:3]) @ (half / shape))) + 1
+    return np.floor(pixel).astype(np.int32), reach
+
+
+def _max_filter(mask: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
+    """Whether any pixel within `reach` rows is true, from differences of cumulative sums."""
+    sums = np.cumsum(mask, axis=0, dtype=np.int32)
+    sums = np.concatenate([np.zeros_like(sums[:1]), sums])
+    rows = np.arange(mask.shape[0])
+    return sums[np.minimum(rows + reach + 1, len(rows))] > sums[np.maximum(rows - reach, 0)]

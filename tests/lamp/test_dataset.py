@@ -6,10 +6,9 @@ import json
 import numpy as np
 import pytest
 
-from lumitree.core.dataset import MANIFEST, Dataset, Frame, Manifest
-from lumitree.core.directions import view_pose
-from lumitree.core.frames import LocalFrame
+from lumitree.core.frames import LocalFrame, view_pose
 from lumitree.errors import LumitreeError
+from lumitree.lamp.dataset import MANIFEST, Dataset, Frame, Manifest
 
 
 def rows(matrix):
