@@ -14,8 +14,7 @@ from lumitree.errors import LumitreeError
 from lumitree.formats.ies import write_ies
 from lumitree.formats.ldt import write_ldt
 from lumitree.formats.opening import Opening
-from lumitree.formats.rays import Rays
-from lumitree.formats.tm25 import write_tm25
+from lumitree.formats.tm25 import Rays, write_tm25
 from lumitree.formats.type_c import Grid, IntensityDistribution
 from lumitree.lamp.dataset import MANIFEST
 from lumitree.lamp.source import LuminaireSource, source_kind

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lumitree.core.seeds import Purpose, SeedStream
-from lumitree.measure.illuminance.light import emitter_light, receivers
+from lumitree.measure.illuminance_estimate import emitter_light, receivers
 from lumitree.rendering.plugins.deferred_emitter import DeferredEmitter
 from lumitree.rendering.plugins.integrator import DEFAULT_RR_DEPTH, trace_paths
 from lumitree.rendering.plugins.path_scene import PathScene

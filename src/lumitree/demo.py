@@ -34,7 +34,7 @@ def run(
     """Bake and render; writes images, the asset and `report.json` into `folder`.
 
     Args:
-        full: make a radiance field too, and compare the views of it with those of the lamp.
+        full: make a radiance field too, and compare its views with the lamp's.
     """
     output = Path(folder)
     asset = output / "lamp.lumitree"

@@ -22,7 +22,7 @@ class LumitreeError(Exception):
     """
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # Subclasses have constructors with arguments of their own. They are not called, so that the
+        # The constructors of subclasses, which have other arguments, are not called, so that the
         # errors of tasks in other processes keep type, text and attributes.
         return copyreg.__newobj__, (type(self), *self.args), self.__dict__ or None  # pyright: ignore
 
@@ -110,7 +110,7 @@ def explained(function: F) -> F:
 
 
 def renderer_reason(error: BaseException) -> str | None:
-    """What is wrong with a scene, from an exception of Mitsuba.
+    """The fault of a scene, from an exception of Mitsuba.
 
     Returns:
         The message of a `LumitreeError` that a plugin of lumitree raised, or else Mitsuba's,
@@ -118,8 +118,8 @@ def renderer_reason(error: BaseException) -> str | None:
         Python, or one of Dr.Jit for a wrong call: that is an error in the program.
     """
     text = str(error)
-    if own := re.search(r"LumitreeError: (.*)", text):
-        return own.group(1)
+    if raised := re.search(r"LumitreeError: (.*)", text):
+        return raised.group(1)
     behind = error.__cause__ or error.__context__
     if "Traceback (most recent call last)" in text or not isinstance(error, RuntimeError):
         return None

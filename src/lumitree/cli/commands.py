@@ -449,8 +449,8 @@ def _show_image(result: Given, given: Given) -> None:
 
 
 def _illuminance(given: Given) -> Any:
-    from lumitree.measure.illuminance.areas import read_points
-    from lumitree.measure.illuminance.illuminance import check_illuminance_output
+    from lumitree.measure.illuminance import check_illuminance_output
+    from lumitree.measure.receivers import read_points
 
     given = dict(given)
     outputs = given.pop("output", ())

@@ -236,7 +236,7 @@ def print_illuminance(result: Any, outputs: Sequence[str]) -> None:
 
 def print_photometry(result: Any) -> None:
     """Print the photometric figures, and the distance of the far field."""
-    from lumitree.measure.photometry.tables import NEAR_FIELD_HEADER, figure_rows, near_field_rows
+    from lumitree.measure.photometric_figures import NEAR_FIELD_HEADER, figure_rows, near_field_rows
 
     rows = figure_rows(result, result.size, result.step, result.rays, result.ugr)
     details = {name.replace("_", " "): text for name, text in result.details.items()}

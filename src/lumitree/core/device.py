@@ -19,8 +19,8 @@ _ALIGNMENT = 64
 def parameter(kind: Any, *values: float) -> Any:
     """Small device array of the numbers given, which kernels read from memory.
 
-    A number that is a part of a kernel's code gives each lamp a kernel of its own. Lamps whose
-    numbers are parameters share one.
+    Lamps whose numbers are parameters share one kernel. A number in the code of a kernel would make
+    Dr.Jit compile another one for each lamp.
 
     Args:
         kind: type of the result, such as `mi.Float` or `mi.Point3f`.
@@ -53,10 +53,10 @@ def on_device(kind: Any, values: ArrayLike) -> Any:
     """Device array of a copy of some values, converted.
 
     Dr.Jit 1.5 reads NumPy arrays without copying them, and in whole packets, so it also reads
-    memory beyond their end. If that memory is not mapped, the process is killed. And it compiles
-    one kernel for arrays that begin at a multiple of 64 bytes, and another for all others. The copy
-    is aligned and followed by padding. So every NumPy array goes to the device through this
-    function.
+    memory beyond their end. If that memory is not mapped, the process is killed. It also compiles
+    one kernel for arrays that begin at a multiple of 64 bytes, and another for all others. Every
+    NumPy array therefore goes to the device through this function, whose copy is aligned and
+    followed by padding.
 
     Args:
         kind: type of the result: `mi.Float` or another flat array, or vectors such as `mi.Point3f`.

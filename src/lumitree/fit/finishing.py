@@ -13,7 +13,7 @@ from lumitree.core.interruption import deferred_interrupt, interruptible, interr
 from lumitree.core.results import Stopwatch
 from lumitree.errors import LumitreeError, shown
 from lumitree.fit.result import BakeResult
-from lumitree.measure.irradiance_check import measure_irradiance
+from lumitree.measure.irradiance import measure_irradiance
 
 if TYPE_CHECKING:
     from lumitree.lamp.luminaire import Luminaire

@@ -129,7 +129,7 @@ def preview(
     """Render six views of a luminaire or of an asset, and measure its flux and size.
 
     The contact sheet shows the lamp in soft light, its own radiance at two exposures, and both
-    opacities, from six sides. Warns of glass that Mitsuba cannot render correctly. Of an asset the
+    opacities, from six sides. Warns of glass that Mitsuba cannot render correctly. For an asset the
     sheet shows what images show of it, its geometry, its field or else its light field, and one
     opacity.
 

@@ -82,7 +82,7 @@ def _read(path: str | os.PathLike[str]) -> Asset:
     if kind == "photometric":
         load_mitsuba()
         # Assets are read without Mitsuba.
-        from lumitree.formats.file_bakes import bake_file
+        from lumitree.formats.photometric_file import bake_file
 
         return bake_file(path, LightFieldConfig())
     name = os.fspath(path)

@@ -1,7 +1,7 @@
 """Content of the page of the viewer: arrays of an asset in one compressed stream.
 
 The geometry is shown, if there is one (`model`), and the field. The field is rounded as in a
-file, and its numbers are those of the file's stream (`field_file`). Without both the light field
+file, to the numbers of the file's stream (`field_file`). Without both the light field
 is shown, as a field (`light_as_field`). The light field is reduced to luminous intensity, as
 float16 relative to the largest of each cell.
 """
