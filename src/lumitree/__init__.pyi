@@ -90,8 +90,8 @@ from .rendering.mixture import MixResult as MixResult
 from .rendering.mixture import mix as mix
 from .rendering.placement import Placement as Placement
 from .rendering.placement_file import read_placements as read_placements
-from .rendering.plugins.register import register as register
-from .rendering.plugins.register import shape as shape
+from .rendering.register import register as register
+from .rendering.register import shape as shape
 from .rendering.render import RenderResult as RenderResult
 from .rendering.render import render as render
 from .trace.light_field_config import LightFieldConfig as LightFieldConfig

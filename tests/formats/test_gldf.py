@@ -85,7 +85,7 @@ def starts(asset):
     """Mean place [R², 3] in the lamp's file from which each bin's light starts, and its flux."""
     field = asset.light_field
     from lumitree.asset.light_field import unpack
-    from lumitree.octree.leaves import grid_boxes_inside
+    from lumitree.octree.build import grid_boxes_inside
 
     flux = field.dense(luminance(unpack(field.intensity))) * field.scale
     lower, upper = grid_boxes_inside(asset.frame.half_extents, field.cells, field.depth)

@@ -96,7 +96,7 @@ def test_a_missing_file_and_explicit_geometry_are_refused(tmp_path):
 
 def placed_flux(mi, placement):
     """R, G and B of the flux of a lamp in the scene, from rays that it emits; and its errors."""
-    from lumitree.rendering.plugins.placed import APPEARANCES
+    from lumitree.rendering.emitter import APPEARANCES
     from lumitree.rendering.scene import PlacedLuminaire
 
     shape = PlacedLuminaire(placement).shapes("emission", APPEARANCES[0])

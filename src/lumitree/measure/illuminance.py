@@ -31,7 +31,7 @@ from lumitree.rendering.placement import Placement
 
 if TYPE_CHECKING:
     from lumitree.measure.figures import Plan
-    from lumitree.rendering.plugins.path_scene import PathScene
+    from lumitree.rendering.integrator import PathScene
     from lumitree.rendering.scene import PlacedLuminaire
 
 OUTPUTS = (".csv", ".json", ".png", ".pdf")
@@ -269,9 +269,9 @@ def _warn_of_glass(placed: "Sequence[PlacedLuminaire]") -> None:
 def _paths(scene: Any, title: str) -> "PathScene":
     """A scene with luminaires, for paths."""
     from lumitree.lamp.media import any_heterogeneous, media
-    from lumitree.rendering.plugins.geometry_plugins import GeometryEmitter
-    from lumitree.rendering.plugins.path_scene import PathScene
-    from lumitree.rendering.plugins.proxies import DividedScene
+    from lumitree.rendering.geometry import GeometryEmitter
+    from lumitree.rendering.integrator import PathScene
+    from lumitree.rendering.proxies import DividedScene
 
     if any_heterogeneous(scene):
         raise LumitreeError(
@@ -299,11 +299,10 @@ def _paths(scene: Any, title: str) -> "PathScene":
 
 def _light_boxes(scene: Any, points: NDArray[np.float64]) -> None:
     """Let lamps light the inside of their boxes if there are points in them."""
-    from lumitree.rendering.plugins.deferred_emitter import DeferredEmitter
+    from lumitree.rendering.emitter import lamps_of
 
-    for emitter in scene.emitters():
-        if isinstance(emitter, DeferredEmitter):
-            box = np.linalg.inv(emitter.placed.scene_from_box)
-            local = points @ box[:3, :3].T + box[:3, 3]
-            if (np.abs(local) <= 1.01).all(axis=1).any():
-                emitter.light_inside()
+    for lamp in lamps_of(scene.emitters()).values():
+        box = np.linalg.inv(lamp.scene_from_box)
+        local = points @ box[:3, :3].T + box[:3, 3]
+        if (np.abs(local) <= 1.01).all(axis=1).any():
+            lamp.light_inside()

@@ -37,15 +37,16 @@ from lumitree.core.device import on_device
 from lumitree.core.photometry import luminance
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
-from lumitree.rendering.plugins.deferred_emitter import DeferredEmitter
-from lumitree.rendering.plugins.emitter_calls import eval_target, is_summed, sample_target
-from lumitree.rendering.plugins.integrator import DEFAULT_RR_DEPTH, trace_paths
-from lumitree.rendering.plugins.path_scene import PathScene
-from lumitree.rendering.plugins.path_state import PathState
-from lumitree.rendering.plugins.proxies import NONE
-from lumitree.rendering.plugins.shadow_rays import visible
-from lumitree.rendering.sampling.emitter_sampling import OUTSIDE
-from lumitree.rendering.sampling.samples import mis_weight
+from lumitree.rendering.emitter import lamps_of
+from lumitree.rendering.integrator import (
+    DEFAULT_RR_DEPTH,
+    PathScene,
+    PathState,
+    trace_paths,
+    visible,
+)
+from lumitree.rendering.proxies import NONE
+from lumitree.rendering.sampling import OUTSIDE
 from lumitree.trace import medium_paths
 from lumitree.trace.spawning import spawn
 
@@ -327,7 +328,7 @@ def _summed(
     scene: PathScene, points: _Array, normals: _Array, error: float, seed: int
 ) -> tuple[_Array, _Array]:
     """S [N], lx, and its variance; `error` as for `estimate`."""
-    lamps = [each for each in scene.whole.emitters() if isinstance(each, DeferredEmitter)]
+    lamps = list(lamps_of(scene.whole.emitters()).values())
     if not lamps:
         return np.zeros(len(points)), np.zeros(len(points))
     sums, left, count = _Moments(len(points)), np.arange(len(points)), _SUMS
@@ -421,17 +422,15 @@ def emitter_light(
     selected = scene.selection.sample(si, mi.Vector3f(si.n), mi.UInt32(NONE), sampler, active)
     active &= selected.weight > 0
     emitter = scene.emitter(selected.index, active)
-    sampled = dr.dispatch(emitter, sample_target, si, selected.sample, mi.Bool(False), active)
+    sample = selected.sample
+    sampled = scene.lamps.call("sample_target", emitter, si, sample, mi.Bool(False), active)
     ds = sampled.ds
     cosine = dr.maximum(dr.dot(si.n, ds.d), 0)
     found = active & sampled.valid & (cosine > 0)
     through = visible(scene, si, ds, sampled.beyond, selected.index, medium, found)
-    weight, pdf = dr.dispatch(
-        emitter, eval_target, si, sampled, cosine * bsdf_pdf, selected.emitter_pmf, found
+    weight = scene.lamps.call(
+        "eval_target", emitter, si, sampled, cosine * bsdf_pdf, selected.emitter_pmf, found
     )
-    if bsdf_pdf:
-        mis = mis_weight(pdf * selected.emitter_pmf, cosine * bsdf_pdf)
-        weight *= dr.select(ds.delta | sampled.includes_mis, 1, mis)
     light = dr.select(found, weight * (cosine * selected.weight), 0)
     return EmitterLight(emitter, light, through, found, sampled.target.place == OUTSIDE)
 
@@ -447,7 +446,7 @@ def behind_surfaces(scene: PathScene, si: mi.SurfaceInteraction3f, sampler: mi.S
 
 def summed_part(scene: PathScene, si: mi.SurfaceInteraction3f, light: EmitterLight) -> mi.Bool:
     """Whether the emitter's irradiance is known without sampling directions."""
-    return light.stored & dr.dispatch(light.emitter, is_summed, si.p, light.found)
+    return light.stored & scene.lamps.call("is_summed", light.emitter, si.p, light.found)
 
 
 def reflected_light(

@@ -18,7 +18,7 @@ from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.rendering.asset_views import baked_image
 from lumitree.rendering.passes import Budget, render_passes
-from lumitree.rendering.plugins.register import shape
+from lumitree.rendering.register import shape
 from lumitree.trace.cameras import PATH_DEPTH
 
 # Equal settings give equal images: there is no option for the seed.

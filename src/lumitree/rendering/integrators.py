@@ -8,7 +8,7 @@ import mitsuba as mi
 
 from lumitree.errors import LumitreeWarning
 from lumitree.rendering.layers import records_layers
-from lumitree.rendering.plugins.register import register
+from lumitree.rendering.register import register
 
 # Classes of `volpath` and `volpathmis`, which take the transmittance of null surfaces for shadow
 # rays, and render media.

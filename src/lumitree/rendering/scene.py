@@ -20,17 +20,15 @@ from lumitree.lamp.media import any_heterogeneous
 from lumitree.lamp.scene_file import SceneFile
 from lumitree.lamp.scene_shapes import SceneShape, check_evaluates, reusable_shapes, shapes_of_scene
 from lumitree.lamp.source import LuminaireSource
-from lumitree.octree.field import Field
-from lumitree.rendering.asset_cache import open_asset, open_field
+from lumitree.rendering.asset_cache import open_asset
 from lumitree.rendering.asset_flux import asset_watts, gain_to
+from lumitree.rendering.emitter import Appearance, Sampling, shows_geometry
 from lumitree.rendering.integrators import integrator_for
 from lumitree.rendering.layers import records_layers
+from lumitree.rendering.objects import load_ordered
 from lumitree.rendering.placement import Placement
 from lumitree.rendering.placement_checks import holds_objects, warn_of_overlaps
-from lumitree.rendering.plugins.objects import load_ordered
-from lumitree.rendering.plugins.placed import Appearance, shows_geometry
-from lumitree.rendering.plugins.register import register, shape
-from lumitree.rendering.sampling.emitter_sampling import Sampling
+from lumitree.rendering.register import register, shape
 
 # `volpath` starts rays (1 + largest coordinate) * RayEpsilon from surfaces. Where that is this part
 # of a lamp's size, the irradiance 0.7 sizes below it is 1 % too high; at 3 times this part, 4 %.
@@ -50,12 +48,11 @@ class PlacedLuminaire:
         self, placement: Placement, source: Luminaire | Asset | None = None, metres: float = 1
     ) -> None:
         self.placement = placement
-        self.field: Field | None = None
+        self.asset: Asset | None = None
         self.luminaire: Luminaire | None = None
         source = _loaded(placement, metres) if source is None else source
         if isinstance(source, Asset):
-            # The field, not only the asset: the proxy's plugins then find it open.
-            self.field = open_field(source)
+            self.asset = source
         else:
             self.luminaire = source
         self.source, frame = source, source.frame
@@ -73,9 +70,8 @@ class PlacedLuminaire:
     def _gain(self, scale: float, metres: float) -> tuple[float, float, float]:
         """The gain of a lamp whose lengths in the scene are `scale` times its file's."""
         placement, gain = self.placement, np.array(check_gain(self.placement.gain))
-        if self.field is not None and (placement.lumens, placement.temperature) != (None, None):
-            asset = self.field.asset
-            assert isinstance(asset, Asset)
+        asset = self.asset
+        if asset is not None and (placement.lumens, placement.temperature) != (None, None):
             grown = 1.0 if asset.is_photometric else scale
             watts = asset_watts(asset) * (grown * metres) ** 2
             gain *= gain_to(watts, placement.lumens, placement.temperature, placement.name)
@@ -90,19 +86,18 @@ class PlacedLuminaire:
     @property
     def kind(self) -> object:
         """The lamp that is placed; equal for instances of one lamp."""
-        return self.placement.name if self.field is None else self.field.asset
+        return self.placement.name if self.asset is None else self.asset
 
     def is_shown_by_field(self, appearance: Appearance) -> bool:
         """Whether images show its radiance field."""
-        return self.field is not None and not shows_geometry(self.field.asset, appearance)
+        return self.asset is not None and not shows_geometry(self.asset, appearance)
 
     def shapes(self, sampling: Sampling, appearance: Appearance) -> dict[str, Any]:
         """Shapes for `mitsuba.load_dict`; arguments as for `place_luminaires`."""
         if self.luminaire is not None:
             return place_shapes(self.luminaire, self.scene_from_world)
-        assert self.field is not None
-        asset = cast(Any, self.field.asset)
-        return {"proxy": shape(asset, self.scene_from_world, sampling, self.gain, appearance)}
+        assert self.asset is not None
+        return {"proxy": shape(self.asset, self.scene_from_world, sampling, self.gain, appearance)}
 
 
 def _loaded(placement: Placement, metres: float) -> Luminaire | Asset:
@@ -414,7 +409,7 @@ def _warn_unlit(scene: mi.Scene, luminaires: Sequence[PlacedLuminaire], sampling
     """Tell of baked luminaires that do not light what is in their boxes."""
     lacking = []
     for placed in luminaires:
-        asset = placed.field.asset if placed.field is not None else None
+        asset = placed.asset
         light_field = asset.light_field if isinstance(asset, Asset) else None
         if asset is None:
             continue

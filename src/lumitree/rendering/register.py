@@ -29,8 +29,7 @@ from lumitree.errors import LumitreeError
 
 if TYPE_CHECKING:
     from lumitree.asset.asset import Asset
-    from lumitree.rendering.plugins.placed import Appearance
-    from lumitree.rendering.sampling.emitter_sampling import Sampling
+    from lumitree.rendering.emitter import Appearance, Sampling
 
 _registered: set[str] = set()
 _TOO_MANY = (
@@ -49,12 +48,12 @@ def register() -> None:
     if mi.variant() in _registered:
         return
     # Their classes extend Mitsuba's, which a variant has to be set for.
-    emitter = importlib.import_module("lumitree.rendering.plugins.emitter").emitter_class()
-    bsdf = importlib.import_module("lumitree.rendering.plugins.bsdf").null_bsdf_class()
-    box = importlib.import_module("lumitree.rendering.plugins.box").box_class()
-    integrator = importlib.import_module("lumitree.rendering.plugins.integrator").integrator_class()
-    make = importlib.import_module("lumitree.rendering.plugins.shape").make_shapes
-    options = importlib.import_module("lumitree.rendering.plugins.placed").plugin_options
+    emitter = importlib.import_module("lumitree.rendering.emitter").emitter_class()
+    bsdf = importlib.import_module("lumitree.rendering.null_bsdf").null_bsdf_class()
+    box = importlib.import_module("lumitree.rendering.shapes").box_class()
+    integrator = importlib.import_module("lumitree.rendering.integrator").integrator_class()
+    make = importlib.import_module("lumitree.rendering.shapes").make_shapes
+    options = importlib.import_module("lumitree.rendering.emitter").plugin_options
     mi.register_emitter("lumitree", emitter)
     mi.register_bsdf("lumitree_null", bsdf)
     mi.register_shape("lumitree_box", box)
@@ -106,6 +105,6 @@ def shape(
             gain is out of range.
     """
     register()
-    from lumitree.rendering.plugins.shape import describe_proxy
+    from lumitree.rendering.shapes import describe_proxy
 
     return describe_proxy(asset, to_world, sampling, gain, appearance)

@@ -1,6 +1,6 @@
-"""Sampling directions towards the proxy, a box, in the luminaire's local frame.
+"""Sampling: use of random samples in more than one place, weights of MIS, and the proxy, a box.
 
-It is sampled from outside only: from a point inside, nothing is.
+The proxy is sampled from outside only: from a point inside, nothing is.
 
 Symbols
     h       half extents of the box
@@ -10,6 +10,8 @@ Symbols
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -18,6 +20,98 @@ from numpy.typing import NDArray
 from lumitree.core.device import parameter
 
 _PARALLEL = 1e-12
+# Part of the samples that is taken uniformly.
+UNIFORM_FRACTION = 0.1
+# What is sampled: bent light (or all) of a receiver outside the box or inside; or straight light.
+OUTSIDE, INSIDE, STRAIGHT = range(3)
+
+
+@dataclass
+class Target:
+    """The point in a lamp that a sampled direction leads to (a PyTree of Dr.Jit).
+
+    A sampler that returns directions alone has a distance of -inf. Only a sampler of cells has
+    all others.
+
+    Attributes:
+        distance: of the point from the receiver, local units.
+        cell: index of the cell that the point is in: of the light field, or of the light inside.
+        pmf: probability with which this cell is sampled.
+        place: `OUTSIDE`, `INSIDE` or `STRAIGHT`.
+        bins: bin of the cell towards the receiver.
+        factor: on the point's light, for the points that it was chosen of.
+        light: straight light of the point, over the density with which it is sampled.
+        total: estimate of the light of all points that the receiver may get, for the choice between
+            bent and straight light.
+        density: of the point of straight light, per steradian, for multiple importance sampling.
+    """
+
+    distance: mi.Float
+    cell: mi.UInt32
+    pmf: mi.Float
+    place: mi.UInt32
+    bins: mi.UInt32
+    factor: mi.Float
+    light: mi.Color3f
+    total: mi.Float
+    density: mi.Float
+
+    @classmethod
+    def at(cls, distance: mi.Float) -> Target:
+        """Target at a distance, of a sampler that does not sample cells."""
+        none, no = mi.UInt32(0), mi.Float(0)
+        factor = mi.Float(1)
+        return cls(distance, none, no, mi.UInt32(OUTSIDE), none, factor, mi.Color3f(0), no, no)
+
+
+def divide_sample(sample: mi.Float, fraction: mi.Float | float) -> tuple[mi.Bool, mi.Float]:
+    """Whether a sample in [0, 1) is below `fraction`, and a sample in [0, 1) for either case."""
+    below = sample < fraction
+    rest = dr.select(below, sample / fraction, (sample - fraction) / (1 - fraction))
+    return below, dr.clip(rest, 0, dr.one_minus_epsilon(mi.Float))
+
+
+def scrambled(sample: mi.Point2f) -> mi.Point3f:
+    """Three numbers in [0, 1) from all bits of a sample in the unit square."""
+    x, y = (dr.reinterpret_array(mi.UInt32, each) for each in (sample.x, sample.y))
+    u, v = mi.sample_tea_32(x, y)
+    w, _ = mi.sample_tea_32(v, u)
+    return mi.Point3f(mi.Float(u >> 8), mi.Float(v >> 8), mi.Float(w >> 8)) * 2.0**-24
+
+
+def resample(choice: mi.Float, light: mi.Float, total: mi.Float) -> tuple[mi.Bool, mi.Float]:
+    """Whether a candidate of resampled importance sampling takes the place of those before.
+
+    Args:
+        choice: number in [0, 1).
+        light: weight of the candidate.
+        total: of it and of those before.
+
+    Returns:
+        With it a new number in [0, 1).
+    """
+    return divide_sample(choice, dr.select(total > 0, light / total, 0))
+
+
+def sample_row(
+    cumulated: mi.Float, first: mi.UInt32, count: int, sample: mi.Float, active: mi.Bool | bool
+) -> mi.UInt32:
+    """Index, from 0, that a sample in [0, 1) has in one row of a table of cumulated chances."""
+
+    # The search is over the next power of two, so that rows of similar lengths share a kernel.
+    length, bound = dr.opaque(mi.UInt32, count), 1 << (count - 1).bit_length()
+
+    def below(index):
+        inside = active & (index < length)
+        return inside & (dr.gather(mi.Float, cumulated, first + index, inside) <= sample)
+
+    return dr.minimum(dr.binary_search(0, bound - 1, below), length - 1)
+
+
+def mis_weight(pdf: mi.Float, other_pdf: mi.Float) -> mi.Float:
+    """Power heuristic; 0 where neither density is positive, as in `path`."""
+    weight = dr.square(pdf) / (dr.square(pdf) + dr.square(other_pdf))
+    return dr.select(dr.isfinite(weight), weight, 0)
 
 
 class BoxProxy:
@@ -80,11 +174,6 @@ def _cap(origin, radius):
 def face_areas(half: mi.Vector3f) -> mi.Vector3f:
     """Area [3] of a face of a box with half extents `half`, by the axis it is perpendicular to."""
     return 4 * mi.Vector3f(half.y * half.z, half.x * half.z, half.x * half.y)
-
-
-def projected_areas(half: mi.Vector3f, direction: mi.Vector3f) -> mi.Vector3f:
-    """Areas [3] of the faces of a box as seen along a direction."""
-    return face_areas(half) * dr.abs(direction)
 
 
 def point_on_box(

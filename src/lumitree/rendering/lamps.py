@@ -1,8 +1,9 @@
-"""Which lamp next-event estimation samples: by what each sends to the receiver.
+"""The emitters of a scene: which one next-event estimation samples, and calls of their methods.
 
-Candidates come from a table, which depends on the cell of the scene that the receiver is in. One of
-them is chosen in proportion to an estimate of the irradiance that it sends to the receiver
-(resampled importance sampling, Talbot et al. 2005).
+Lamps are sampled by the light that they send to the receiver. Candidates come from a table, which
+depends on the cell of the scene that the receiver is in. One of them is chosen in proportion to an
+estimate of its irradiance at the receiver (resampled importance sampling, Talbot et al. 2005).
+`LampKinds` records the code of a method once for each kind of lamp.
 
 Symbols
     N       lamps               K       candidates
@@ -21,7 +22,9 @@ Symbols
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator
+from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -30,6 +33,8 @@ from numpy.typing import NDArray
 
 from lumitree.core.alias_table import AliasTable
 from lumitree.core.device import on_device, parameter
+from lumitree.rendering.emitter import OtherEmitter, PlacedLamp, lamp_of, lamps_of
+from lumitree.rendering.sampling import divide_sample
 
 # What stands for no lamp.
 NO_LAMP = 0xFFFFFFFF
@@ -41,9 +46,16 @@ _EVEN_PART = 0.1
 # Added to s, so that rounding does not bring a lamp below the horizon; and least cos θ' within the
 # sphere, where light may come from any side.
 _SLACK, _LEAST_COSINE = 1e-3, 0.25
+# Part of the samples for emitters that are no baked luminaires, where a scene has both. Whichever
+# light the scene, this at most doubles the second moment of an estimate.
+_OTHERS = 0.5
 # Packets of four numbers of a lamp on the device: centre and radius; intensities towards +x, +y,
 # +z; towards -x, -y, -z.
 _PACKETS = 3
+# Packets of four numbers of a lamp's pose (`PlacedAsset.numbers`).
+_PACKETS_OF_POSE = 4
+# Arrays that one kernel joins: with 1,000, LLVM compiles it for more than ten minutes.
+_JOINED = 16
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -236,3 +248,196 @@ def _table(
         # Where no lamp sends light all are chosen alike.
         weights[~weights.any(axis=1)] = 1
         yield weights
+
+
+@dataclass
+class Selected:
+    """An emitter that was selected (a PyTree of Dr.Jit)."""
+
+    # fmt: off
+    index: mi.UInt32         # Of the emitter in the scene
+    weight: mi.Float         # Factor by which its light counts for that of all; 0: there is none
+    emitter_pmf: mi.Float    # Its probability for multiple importance sampling
+    sample: mi.Point2f       # For the direction, in the unit square
+    # fmt: on
+
+
+class EmitterSelection:
+    """Selection of emitters.
+
+    With two baked luminaires or more, these are selected by what they send to the receiver
+    (`LampChoice`), and half of the samples are for all other emitters, by their sampling weights.
+    Else all are selected by their sampling weights, as `mi.Scene.sample_emitter` does.
+
+    Attributes:
+        by_receiver: whether probabilities depend on the receiver.
+    """
+
+    def __init__(self, scene: mi.Scene, choices: LampChoices) -> None:
+        self._scene, emitters = scene, scene.emitters()
+        weights = np.array([emitter.sampling_weight() for emitter in emitters])
+        self._total_weight = float(weights.sum())
+        # If the weight of an emitter is 0, the rays of BSDFs find all of its light.
+        lamps = {i: each for i, each in lamps_of(emitters).items() if weights[i] > 0}
+        self.by_receiver = len(lamps) > 1
+        if not self.by_receiver:
+            return
+        indices = np.array(list(lamps))
+        centres, radii = zip(*(lamp.sphere for lamp in lamps.values()), strict=True)
+        intensities = np.array([lamp.axis_intensities() for lamp in lamps.values()])
+        intensities *= weights[indices, None]
+        box = scene.bbox()
+        low, high = (np.array(each, np.float64).ravel() for each in (box.min, box.max))
+        self._lamps = choices.of(
+            Lamps(indices, np.array(centres), np.array(radii), intensities, low, high)
+        )
+        weights[indices] = 0
+        others = np.flatnonzero(weights)
+        self._has_others = bool(len(others))
+        # By the index of an emitter: its probability if it is no lamp.
+        pmf = np.zeros(len(emitters))
+        if self._has_others:
+            self._others = AliasTable([weights[None, others]], (1, len(others)))
+            self._other_indices = on_device(mi.UInt32, others)
+            pmf[others] = _OTHERS * weights[others] / weights.sum()
+        numbers = np.array(dr.reinterpret_array(mi.UInt32, scene.emitters_dr()))
+        # By the number of an emitter among all emitters of the process.
+        index_of = np.full(numbers.max() + 1, NO_LAMP, np.uint32)
+        pmf_of = np.zeros(numbers.max() + 1)
+        index_of[numbers], pmf_of[numbers] = np.arange(len(emitters)), pmf
+        self._index_of, self._pmf_of = on_device(mi.UInt32, index_of), on_device(mi.Float, pmf_of)
+        self._part = 1 - _OTHERS if self._has_others else 1.0
+
+    def sample(
+        self,
+        si: mi.SurfaceInteraction3f,
+        normal: mi.Vector3f,
+        owner: mi.UInt32,
+        sampler: mi.Sampler,
+        active: mi.Bool,
+    ) -> Selected:
+        """Select an emitter.
+
+        Args:
+            normal: towards the side that light comes from, unit length; 0 where it may come from
+                both.
+            owner: index of a lamp whose light the receiver gets otherwise.
+        """
+        sample = sampler.next_2d()
+        if not self.by_receiver:
+            index, weight, sample.x = self._scene.sample_emitter(sample.x, active)
+            return Selected(index, weight, dr.rcp(weight), sample)
+        choice, other = sampler.next_2d(), mi.Bool(False)
+        if self._has_others:
+            other, choice.x = divide_sample(choice.x, _OTHERS)
+        lit = active & ~other
+        index, weight, pmf = self._lamps.sample(si.p, normal, owner, choice, lit)
+        weight, pmf = weight / self._part, pmf * self._part
+        if self._has_others:
+            entry, chance = self._others.sample(mi.UInt32(0), choice.x, active & other)
+            found = dr.gather(mi.UInt32, self._other_indices, entry, active & other)
+            index = dr.select(other, found, index)
+            pmf = dr.select(other, _OTHERS * chance, pmf)
+            weight = dr.select(other, dr.rcp(pmf), weight)
+        return Selected(index, weight, pmf, sample)
+
+    def pmf(
+        self, emitter: mi.EmitterPtr, it: mi.Interaction3f, active: mi.Bool | bool = True
+    ) -> mi.Float:
+        """`Selected.emitter_pmf` that an emitter of the scene has for a receiver."""
+        if not self.by_receiver:
+            return emitter.sampling_weight() * dr.rcp(self._total_weight)
+        number = dr.reinterpret_array(mi.UInt32, emitter)
+        index = dr.gather(mi.UInt32, self._index_of, number, active)
+        pmf = self._lamps.pmf(index, it.p, mi.Bool(active))
+        return dr.gather(mi.Float, self._pmf_of, number, active) + self._part * pmf
+
+
+class LampKinds:
+    """The emitters of a scene by kind: lamps of a kind differ by numbers only.
+
+    `dr.dispatch` records a function once for each emitter, which takes seconds of every image where
+    there are hundreds. The numbers of lamps are read from a table here.
+
+    Args:
+        emitters, pointers: the two lists of them that a scene has.
+    """
+
+    def __init__(self, emitters: list[mi.Emitter], pointers: mi.EmitterPtr) -> None:
+        lamps = lamps_of(emitters)
+        self._others = len(emitters) > len(lamps)
+        kinds: dict[Hashable, int] = {}
+        self._lamps: list[PlacedLamp] = []
+        numbers = np.array(dr.reinterpret_array(mi.UInt32, pointers))
+        # By the number of an emitter among all emitters of the process.
+        kind_of = np.full(numbers.max(initial=0) + 1, len(lamps), np.uint32)
+        rows = np.zeros((len(kind_of), 4 * _PACKETS_OF_POSE))
+        slot_of = np.zeros(len(kind_of), np.uint32)
+        for slot, (index, lamp) in enumerate(lamps.items()):
+            kind = kinds.setdefault(_kind(lamp), len(kinds))
+            if kind == len(self._lamps):
+                self._lamps.append(lamp)
+            number = numbers[index]
+            kind_of[number], slot_of[number] = kind, slot
+            rows[number, : len(lamp.numbers)] = lamp.numbers
+        self._apart = len(lamps) > len(kinds)
+        if not self._apart:
+            return
+        kind_of[kind_of == len(lamps)] = len(kinds)
+        self._kind_of, self._slot_of = on_device(mi.UInt32, kind_of), on_device(mi.UInt32, slot_of)
+        self._rows = on_device(mi.Float, rows)
+        self._gains = joined_colours([lamp.gain for lamp in lamps.values()])
+
+    def call(self, method: str, emitter: mi.EmitterPtr, *args: Any) -> Any:
+        """Call a method of `PlacedLamp` of emitters, or of `OtherEmitter`, by its name."""
+
+        def of_any(emitter: mi.Emitter, *args: Any) -> Any:
+            return getattr(lamp_of(emitter) or OtherEmitter(emitter), method)(*args)
+
+        def of_other(_: mi.UInt32, pointer: mi.EmitterPtr, *args: Any) -> Any:
+            def record(emitter: mi.Emitter, *args: Any) -> Any:
+                return getattr(OtherEmitter(None if lamp_of(emitter) else emitter), method)(*args)
+
+            if self._others:
+                return dr.dispatch(pointer, record, *args)
+            return getattr(OtherEmitter(None), method)(*args)
+
+        def of_kind(lamp: PlacedLamp) -> Any:
+            def record(number: mi.UInt32, _: mi.EmitterPtr, *args: Any) -> Any:
+                packets = [
+                    dr.gather(mi.Vector4f, self._rows, _PACKETS_OF_POSE * number + i)
+                    for i in range(_PACKETS_OF_POSE)
+                ]
+                values = [value for packet in packets for value in packet]
+                gain = dr.gather(
+                    mi.Color3f, self._gains, dr.gather(mi.UInt32, self._slot_of, number)
+                )
+                return getattr(lamp.moved(values, gain), method)(*args)
+
+            return record
+
+        if not self._apart:
+            return dr.dispatch(emitter, of_any, *args)
+        number = dr.reinterpret_array(mi.UInt32, emitter)
+        kind = dr.gather(mi.UInt32, self._kind_of, number)
+        targets = [*map(of_kind, self._lamps), of_other]
+        return dr.switch(kind, targets, number, emitter, *args)
+
+
+def joined_colours(colours: list[mi.Color3f]) -> mi.Color3f:
+    """Evaluated arrays, one after another, in one; derivatives pass through."""
+    while len(colours) > 1:
+        groups = [colours[i : i + _JOINED] for i in range(0, len(colours), _JOINED)]
+        colours = [
+            mi.Color3f(*(dr.concat([each[i] for each in group]) for i in range(3)))
+            for group in groups
+        ]
+        for colour in colours:
+            dr.eval(colour)
+    return colours[0]
+
+
+def _kind(lamp: PlacedLamp) -> Hashable:
+    """Equal for lamps whose code is the same."""
+    light = id(lamp.asset), id(lamp.field), lamp.sampling
+    return *light, lamp.shows_geometry, lamp.lights_inside

@@ -17,14 +17,13 @@ these colours. Where A has no inverse, for a lamp of one line, L is S with the l
 from __future__ import annotations
 
 import functools
-import weakref
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.asset import Asset
+from lumitree.asset.asset import EmittedSpectrum
 from lumitree.core.device import on_device
 from lumitree.core.photometry import (
     FILM_LUMINANCE,
@@ -41,17 +40,9 @@ _MAX_CONDITION = 1e3
 _BASIS_STEP, _CONSTRAINT = 10.0, 1e3
 
 
-_COLOURS: weakref.WeakKeyDictionary[Asset, dict[str, LightColour]] = weakref.WeakKeyDictionary()
-
-
-def light_colour(asset: Asset) -> LightColour:
-    """Conversion of an asset's light to the colours of the variant; its instances share it."""
-    colours, variant = _COLOURS.setdefault(asset, {}), str(mi.variant())
-    if variant not in colours:
-        # Mitsuba creates plugins in parallel: of two, the first is kept.
-        colour = SpectralColour(light_table(asset)) if mi.is_spectral else LightColour()
-        return colours.setdefault(variant, colour)
-    return colours[variant]
+def light_colour(spectrum: EmittedSpectrum | None) -> LightColour:
+    """Conversion of the light of an asset with a spectrum to the colours of the variant."""
+    return SpectralColour(light_table(spectrum)) if mi.is_spectral else LightColour()
 
 
 class LightColour:
@@ -78,9 +69,8 @@ class SpectralColour(LightColour):
         return value
 
 
-def light_table(asset: Asset) -> NDArray[np.float64]:
+def light_table(found: EmittedSpectrum | None) -> NDArray[np.float64]:
     """Spectra [471, 3] of R = 1, of G = 1 and of B = 1."""
-    found = asset.spectrum
     if found is not None and found.is_whole:
         spectrum = found.power.astype(np.float64)
     else:

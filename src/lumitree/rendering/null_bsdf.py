@@ -1,4 +1,4 @@
-"""The BSDF `lumitree_null`: what stands behind a baked luminaire stays visible."""
+"""The BSDF `lumitree_null`: objects behind a baked luminaire stay visible."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ from contextvars import ContextVar
 import drjit as dr
 import mitsuba as mi
 
-from lumitree.rendering.plugins.delta_bsdf import delta_bsdf_class
-from lumitree.rendering.plugins.placed import Placed
+from lumitree.rendering.emitter import PlacedAsset
+from lumitree.rendering.geometry import delta_bsdf_class
 
-_LEFT_OUT: ContextVar[bool] = ContextVar("_LEFT_OUT", default=False)
+_WITHOUT_PROXIES: ContextVar[bool] = ContextVar("_WITHOUT_PROXIES", default=False)
 
 
 @contextlib.contextmanager
-def proxies_left_out() -> Iterator[None]:
+def without_proxies() -> Iterator[None]:
     """Context in which no ray meets a proxy as a shape, so that no code is recorded for that.
 
     Dr.Jit records the BSDFs of all scenes in the process; the field of each lamp would take long.
     """
-    token = _LEFT_OUT.set(True)
+    token = _WITHOUT_PROXIES.set(True)
     try:
         yield
     finally:
-        _LEFT_OUT.reset(token)
+        _WITHOUT_PROXIES.reset(token)
 
 
 def null_bsdf_class() -> type:
@@ -33,13 +33,13 @@ def null_bsdf_class() -> type:
 
     Light crosses it unbent, with the transmittance of the whole line through the proxy on the face
     where the line enters, and 1 on the face where it leaves. Where the geometry is shown, its own
-    shapes take away light, and the transmittance is 1.
+    shapes attenuate light, and the transmittance is 1.
     """
 
     class LumitreeNull(delta_bsdf_class()):
         def __init__(self, props: mi.Properties) -> None:
             super().__init__(props)
-            self.placed = Placed(props)
+            self.placed = PlacedAsset(props)
             flags = mi.BSDFFlags.Null | mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide
             self.m_flags = flags
             self.m_components = [flags]
@@ -55,13 +55,13 @@ def null_bsdf_class() -> type:
             return bs, self.eval_null_transmission(si, enabled) & enabled
 
         def eval_null_transmission(self, si, active=True):
-            if not self.placed.dims or _LEFT_OUT.get():
+            if not self.placed.attenuates or _WITHOUT_PROXIES.get():
                 return mi.Spectrum(1) & active
             line, entering = self.placed.entering_line(si, active)
             through = self.placed.field.transmittance(*line, entering)
             return mi.Spectrum(dr.select(entering, through, 1))
 
         def to_string(self) -> str:
-            return f"LumitreeNull[luminaire={self.placed.field.asset.luminaire}]"
+            return f"LumitreeNull[luminaire={self.placed.asset.luminaire}]"
 
     return LumitreeNull

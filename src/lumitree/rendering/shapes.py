@@ -1,5 +1,7 @@
 """The proxy of a baked luminaire as a shape dictionary, and its shapes in a scene."""
 
+from __future__ import annotations
+
 import os
 from typing import Any
 
@@ -10,31 +12,29 @@ from numpy.typing import ArrayLike
 from lumitree.asset.asset import Asset
 from lumitree.core.arguments import check_gain
 from lumitree.core.frames import similarity_scale
+from lumitree.core.mitsuba_meshes import copy_mesh
 from lumitree.lamp.media import media_of, scatters
-from lumitree.octree.field import Field
-from lumitree.rendering.asset_cache import file_name, open_asset, open_field
-from lumitree.rendering.plugins.geometry_shapes import geometry_shapes
-from lumitree.rendering.plugins.objects import (
-    load_ordered,
-    make_object,
-    make_properties,
-    medium_number,
-    shape_number,
-)
-from lumitree.rendering.plugins.placed import (
+from lumitree.rendering.asset_cache import file_name, open_asset
+from lumitree.rendering.emitter import (
     GEOMETRY_MARGIN,
     Appearance,
-    Placed,
+    Sampling,
     check_kinds,
     shows_geometry,
 )
-from lumitree.rendering.sampling.emitter_sampling import Sampling
+from lumitree.rendering.geometry import geometry_shapes
+from lumitree.rendering.objects import (
+    load_ordered,
+    make_object,
+    medium_number,
+    shape_number,
+)
 
 
 class _Shape(dict[str, Any]):
-    """A shape dictionary that keeps its field open, so that its plugins need not read it again."""
+    """A shape dictionary that keeps its asset open, so that its plugins need not read it again."""
 
-    field: Field
+    asset: Asset
 
 
 def describe_proxy(
@@ -54,7 +54,6 @@ def describe_proxy(
     opened = open_asset(asset)
     if appearance is None:
         appearance = "geometry" if opened.geometry is not None else "field"
-    field = open_field(opened)
     # In double precision where the transform ends far from where it begins.
     transform = mi.ScalarTransform4d if opened.frame.is_far else mi.ScalarTransform4f
     options = {
@@ -68,7 +67,7 @@ def describe_proxy(
         description = _Shape(type="lumitree_proxy", gain=list(factors), **options)
     else:
         description = _proxy(opened, matrix, 0.0, list(factors), options)
-    description.field = field
+    description.asset = opened
     return description
 
 
@@ -81,17 +80,14 @@ def make_shapes(name: str, **options: Any) -> Any:
     if description["type"] != "lumitree_proxy":
         return load_ordered(description)
     properties = {n: value for n, value in description.items() if n not in ("type", "gain")}
-    placed = Placed(make_properties("lumitree_proxy", properties))
+    asset = open_asset(properties["filename"])
     matrix = np.array(properties["to_world"].matrix, np.float64).reshape(4, 4)
-    proxy = load_ordered(
-        _proxy(placed.asset, matrix, GEOMETRY_MARGIN, description["gain"], properties)
-    )
+    proxy = load_ordered(_proxy(asset, matrix, GEOMETRY_MARGIN, description["gain"], properties))
+    lamp = proxy.emitter().lamp
     # The plugin `merge` expands into the shapes that it is given.
-    assert placed.asset.geometry is not None
-    shapes = geometry_shapes(placed.asset.geometry, matrix, proxy.emitter())
-    own = proxy.emitter().placed
-    own.own_shapes += map(shape_number, shapes)
-    own.own_media += {medium_number(each) for each in media_of(shapes) if scatters(each)}
+    shapes = geometry_shapes(matrix, lamp)
+    lamp.own_shapes += map(shape_number, shapes)
+    lamp.own_media += {medium_number(each) for each in media_of(shapes) if scatters(each)}
     together = {f"geometry_{index}": shape for index, shape in enumerate(shapes)}
     proxy.set_id(name)
     for key, shape in together.items():
@@ -110,3 +106,25 @@ def _proxy(
         emitter={"type": "lumitree", "gain": gain, **options},
         bsdf={"type": "lumitree_null", **options},
     )
+
+
+def box_class() -> type:
+    """Class of the shape for the variant of Mitsuba that is set, whose base class it extends."""
+
+    class LumitreeBox(mi.Mesh):
+        _made = False
+
+        def __init__(self, props: mi.Properties) -> None:
+            copy_mesh(self, make_object("cube", {"to_world": props["to_world"]}), props)
+            self._made = True
+
+        def traverse(self, callback):
+            if self._made:
+                callback.put("emitter", self.emitter(), mi.ParamFlags.Differentiable)
+            else:
+                super().traverse(callback)
+
+        def to_string(self) -> str:
+            return "LumitreeBox[]"
+
+    return LumitreeBox

@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 
 from lumitree.asset.light_field import LightField, unpack
 from lumitree.core.device import parameter
-from lumitree.octree.build import morton
-from lumitree.octree.leaves import grid_boxes_inside
+from lumitree.octree.build import grid_boxes_inside, morton
 
 # Sums at most, and the depth of the coarsest level.
 _SUMS, _COARSEST = 4, 2

@@ -16,16 +16,14 @@ from typing import Any, NamedTuple
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from numpy.typing import NDArray
 
 from lumitree.core.device import on_device
 from lumitree.lamp.scene_shapes import build_again, shape_groups
+from lumitree.rendering.emitter import PlacedLamp, lamp_of, lamps_of, sampled_only
+from lumitree.rendering.objects import make_object, shape_number
 from lumitree.rendering.placement_checks import holds_objects, overlapping
-from lumitree.rendering.plugins.box_tree import NODE_NUMBERS, box_tree
-from lumitree.rendering.plugins.deferred_emitter import DeferredEmitter
-from lumitree.rendering.plugins.objects import make_object, shape_number
-from lumitree.rendering.plugins.placed import Placed
-from lumitree.rendering.sampling.divided_sampling import left_out
-from lumitree.rendering.sampling.proxy import safe_inverse, slab
+from lumitree.rendering.sampling import safe_inverse, slab
 
 # Null surfaces that a path, or a shadow ray, crosses before it ends: a bound, so that every kernel
 # ends whatever the geometry.
@@ -33,12 +31,13 @@ MAX_CROSSINGS = 1024
 # What stands for no emitter.
 NONE = 0xFFFFFFFF
 # Packets of four numbers of a proxy on the device: a point, a matrix, whether it gives light to
-# what is in it, `sampled_alone_radius`, the number of its bit in masks of lamps, and 0; and of a
-# node of the tree.
-_PACKETS, _NODE_PACKETS = 4, NODE_NUMBERS // 4
+# what is in it, `sampled_only_radius`, the number of its bit in masks of lamps, and 0; and of a
+# node of the tree (`box_tree`).
+_PACKETS, _NODE_PACKETS = 4, 2
 # Bits of a mask of lamps. If there are more lamps than bits, some share one.
 _BITS = 32
-# Part of the distance by which a ray may miss a node's box.
+# Part of the distance by which a ray may miss a node's box, and by which boxes are larger than they
+# need be, so that rounding loses none.
 _SLACK = 1e-5
 
 
@@ -46,30 +45,27 @@ class Proxies:
     """The proxies of the baked luminaires of a scene.
 
     Args:
-        emitters: `mi.Scene.emitters()`; those that are no `DeferredEmitter` are left out.
+        emitters: `mi.Scene.emitters()`.
     """
 
     def __init__(self, emitters: list[mi.Emitter]) -> None:
-        rows, indices, boxes, dims = [], [], [], False
-        for index, emitter in enumerate(emitters):
-            if isinstance(emitter, DeferredEmitter):
-                matrix, centre = emitter.placed.unit_proxy()
-                holds, alone = emitter.placed.holds, emitter.sampled_alone_radius()
-                bit = len(rows) % _BITS
-                rows.append([*centre, *matrix.ravel(), holds, alone, bit, 0])
-                reach = np.abs(np.linalg.inv(matrix)).sum(axis=1)
-                boxes.append([centre - reach, centre + reach])
-                indices.append(index)
-                dims |= emitter.placed.dims
+        rows, boxes, lamps = [], [], lamps_of(emitters)
+        for index, lamp in lamps.items():
+            matrix, centre = lamp.unit_proxy()
+            radius = lamp.sampled_only_radius if emitters[index].sampling_weight() > 0 else 0.0
+            bit = len(rows) % _BITS
+            rows.append([*centre, *matrix.ravel(), lamp.lights_inside, radius, bit, 0])
+            reach = np.abs(np.linalg.inv(matrix)).sum(axis=1)
+            boxes.append([centre - reach, centre + reach])
         # Whether there are any, and whether any has a transmittance below 1.
-        self.exist, self.dim = bool(rows), dims
+        self.exist, self.attenuate = bool(rows), any(lamp.attenuates for lamp in lamps.values())
         if rows:
             # On the device: numbers of lamps do not compile new kernels.
             nodes = box_tree(*np.moveaxis(np.array(boxes), 1, 0))
             self._count = dr.opaque(mi.UInt32, len(nodes))
             self._nodes = on_device(mi.Float, nodes)
             self._rows = on_device(mi.Float, np.array(rows))
-            self._indices = on_device(mi.UInt32, np.array(indices))
+            self._indices = on_device(mi.UInt32, list(lamps))
 
     def first(
         self,
@@ -105,8 +101,8 @@ class Proxies:
             starts: mask of these rays.
             skipped: mask of the lamps whose proxies are not entered at the origin (`Owners.bit`).
             sampled: vertex that the ray comes from, and density per steradian with which its BSDF
-                sampled the ray. Proxies are left out whose light next-event estimation alone finds
-                there, and which transmit all light (`DeferredEmitter.sampled_alone_radius`).
+                sampled the ray. Skipped are proxies whose light next-event estimation alone finds
+                there, and which transmit all light (`sampled_only_radius`).
 
         Returns:
             Distance from the origin of the ray; and index of the emitter in the scene, `NONE` where
@@ -164,18 +160,18 @@ class Proxies:
             for i in range(_PACKETS)
         ]
         values = [number for packet in packets for number in packet]
-        matrix, (holds, radius, bit) = mi.Matrix3f(*values[3:12]), values[12:15]
+        matrix, (lights, radius, bit) = mi.Matrix3f(*values[3:12]), values[12:15]
         if sampled is not None:
             # A little less often than the lamp itself does, whose rounding is another.
             x, pdf = sampled
             x = mi.Point3f(x - mi.Point3f(*values[:3]))
-            active &= (radius <= 0) | ~left_out(x, radius, pdf * (1 + _SLACK))
+            active &= (radius <= 0) | ~sampled_only(x, radius, pdf * (1 + _SLACK))
         # In these coordinates the proxy is the cube of [-1, 1]³.
         o, d = mi.Vector3f(matrix @ (ray.o - mi.Point3f(*values[:3]))), matrix @ ray.d
         near, far = slab(-o, mi.Vector3f(1), safe_inverse(d))
         entry = dr.max(near)
         crosses = entry <= dr.min(far)
-        begins = (dr.max(dr.abs(o)) <= 1) & ((holds > 0) | starts)
+        begins = (dr.max(dr.abs(o)) <= 1) & ((lights > 0) | starts)
         begins &= (skipped & (mi.UInt32(1) << mi.UInt32(bit))) == 0
         return dr.select(begins, 0, entry), active & (begins | (crosses & (entry > 0)))
 
@@ -186,9 +182,9 @@ class Divided(NamedTuple):
     Attributes:
         surfaces: the scene that rays are traced against.
         proxies: those that it leaves out.
-        room: what is traced where the own surfaces of a lamp do not block: the surfaces without
-            the lamps' own; None if no lamp needs it.
-        passes: whether `room` is `surfaces`, and rays pass the surfaces of the lamp by one after
+        outside_lamps: scene that is traced where the surfaces of a lamp do not block: the surfaces
+            that belong to no lamp; None if no lamp needs it.
+        passes: whether `outside_lamps` is `surfaces`, and rays pass the lamp's surfaces one after
             another: where lamps whose surfaces are traced have boxes that overlap, or where a
             kernel may trace one scene only.
         owners: whose surfaces are whose.
@@ -196,14 +192,14 @@ class Divided(NamedTuple):
 
     surfaces: mi.Scene
     proxies: Proxies
-    room: mi.Scene | None
+    outside_lamps: mi.Scene | None
     passes: bool
     owners: Owners
 
     def end(
         self, ray: mi.Ray3f, distance: mi.Float, lamp: mi.UInt32, ahead: mi.UInt32, active: mi.Bool
     ) -> mi.Float:
-        """Where a ray ends for a lamp whose proxy it enters, as `DeferredEmitter.eval_entered`.
+        """Where a ray ends for a lamp whose proxy it enters, as `PlacedLamp.eval_entered`.
 
         Args:
             distance: where it ends for the integrator.
@@ -211,15 +207,15 @@ class Divided(NamedTuple):
         """
         mine = ahead == lamp
         other = mi.Float(dr.inf)
-        if self.room is not None:
-            # What else is in the box may be behind the lamp's own surface.
-            other = self._behind(self.room, ray, lamp, active & mine)
+        if self.outside_lamps is not None:
+            # Another object in the box may be behind the lamp's surface.
+            other = self._behind(self.outside_lamps, ray, lamp, active & mine)
         return dr.select(mine, other, distance)
 
     @dr.syntax
-    def _behind(self, room: mi.Scene, ray: mi.Ray3f, lamp: mi.UInt32, active: mi.Bool) -> mi.Float:
+    def _behind(self, scene: mi.Scene, ray: mi.Ray3f, lamp: mi.UInt32, active: mi.Bool) -> mi.Float:
         """Distance of the first surface that does not belong to a lamp."""
-        pi = room.ray_intersect_preliminary(ray, False, active)
+        pi = scene.ray_intersect_preliminary(ray, False, active)
         distance = mi.Float(pi.t)
         if dr.hint(self.passes, mode="scalar"):
             ray, passed, crossings = mi.Ray3f(ray), mi.Float(0), mi.UInt32(0)
@@ -229,7 +225,7 @@ class Divided(NamedTuple):
                 step = pi.t * (1 + mi.math.RayEpsilon) + mi.math.RayEpsilon * dr.max(dr.abs(ray.o))
                 passed += step
                 ray.o = dr.fma(step, ray.d, ray.o)
-                pi = room.ray_intersect_preliminary(ray, False, own)
+                pi = scene.ray_intersect_preliminary(ray, False, own)
                 distance[own] = passed + pi.t
                 crossings += 1
                 own &= pi.is_valid() & (self.owners.of(pi.shape, own) == lamp)
@@ -240,13 +236,11 @@ class Divided(NamedTuple):
 class Owners:
     """The lamps, by index of their emitters, that shapes, and media that scatter, belong to."""
 
-    def __init__(self, lamps: Mapping[int, DeferredEmitter]) -> None:
+    def __init__(self, lamps: Mapping[int, PlacedLamp]) -> None:
         # By the number of a shape.
-        self.owner = {
-            number: index for index, lamp in lamps.items() for number in lamp.placed.own_shapes
-        }
+        self.owner = {number: index for index, lamp in lamps.items() for number in lamp.own_shapes}
         owner_of_medium = {
-            number: index for index, lamp in lamps.items() for number in lamp.placed.own_media
+            number: index for index, lamp in lamps.items() for number in lamp.own_media
         }
         cloudy = dict.fromkeys(owner_of_medium.values(), 1)
         # Whether there are shapes, and media that scatter.
@@ -304,12 +298,12 @@ class DividedScene:
         self._shapes: list[mi.Shape] | None = None
         self._geometry: list[list[Any]] = []
         self._surfaces: mi.Scene | None = None
-        self._room: mi.Scene | None = None
+        self._outside_lamps: mi.Scene | None = None
         # The surfaces that belong to no lamp, and whether lamps overlap.
         self._others: list[mi.Shape] = []
         self._overlap = False
-        # Lamps that were asked to light what is in their boxes.
-        self._asked: weakref.WeakSet[Placed] = weakref.WeakSet()
+        # Lamps that light the objects in their boxes, if there are any.
+        self._lit: weakref.WeakSet[PlacedLamp] = weakref.WeakSet()
 
     def of(self, scene: mi.Scene) -> Divided:
         """The surfaces that rays of a scene are traced against, and the proxies that it leaves out.
@@ -317,8 +311,8 @@ class DividedScene:
         The surfaces are the scene itself if it has no proxies.
         """
         shapes, emitters = scene.shapes(), scene.emitters()
-        surfaces = [s for s in shapes if not isinstance(s.emitter(), DeferredEmitter)]
-        lamps = {i: each for i, each in enumerate(emitters) if isinstance(each, DeferredEmitter)}
+        surfaces = [shape for shape in shapes if lamp_of(shape.emitter()) is None]
+        lamps = lamps_of(emitters)
         owners = Owners(lamps)
         if not lamps:
             return Divided(scene, Proxies([]), None, False, owners)
@@ -326,21 +320,21 @@ class DividedScene:
         geometry = [_geometry(shape) for shape in [*groups, *surfaces]]
         same = surfaces == self._shapes and all(map(_same, geometry, self._geometry))
         # Another scene may have the same surfaces and other lamps.
-        if not (same and all(lamp.placed in self._asked for lamp in lamps.values())):
+        if not (same and all(lamp in self._lit for lamp in lamps.values())):
             if not same:
                 self._surfaces = _scene_of(groups, surfaces)
-            self._room = None
+            self._outside_lamps = None
             self._shapes, self._geometry = surfaces, geometry
             self._others = [each for each in surfaces if shape_number(each) not in owners.owner]
             self._overlap = _light_insides(list(lamps.values()), self._others)
-            self._asked = weakref.WeakSet(lamp.placed for lamp in lamps.values())
+            self._lit = weakref.WeakSet(lamps.values())
         assert self._surfaces is not None
-        room, passes = None, self._overlap or _one_scene_only()
-        if owners.exist and any(lamp.placed.holds for lamp in lamps.values()):
-            if not passes and self._room is None:
-                self._room = _scene_of(groups, self._others)
-            room = self._surfaces if passes else self._room
-        return Divided(self._surfaces, Proxies(emitters), room, passes, owners)
+        outside_lamps, passes = None, self._overlap or _one_scene_only()
+        if owners.exist and any(lamp.lights_inside for lamp in lamps.values()):
+            if not passes and self._outside_lamps is None:
+                self._outside_lamps = _scene_of(groups, self._others)
+            outside_lamps = self._surfaces if passes else self._outside_lamps
+        return Divided(self._surfaces, Proxies(emitters), outside_lamps, passes, owners)
 
 
 def _one_scene_only() -> bool:
@@ -348,14 +342,14 @@ def _one_scene_only() -> bool:
     return dr.backend_v(mi.Float) == dr.JitBackend.CUDA
 
 
-def _light_insides(lamps: list[DeferredEmitter], room: list[mi.Shape]) -> bool:
+def _light_insides(lamps: list[PlacedLamp], others: list[mi.Shape]) -> bool:
     """Let lamps light shapes in their boxes; whether another lamp's shapes are in one of them."""
-    boxes = np.array([lamp.placed.scene_from_box for lamp in lamps]).reshape(-1, 4, 4)
-    holds, overlap = holds_objects(room, boxes), False
+    boxes = np.array([lamp.scene_from_box for lamp in lamps]).reshape(-1, 4, 4)
+    lit, overlap = holds_objects(others, boxes), False
     for pair in overlapping(boxes):
-        if any(lamps[i].placed.shows_geometry for i in pair):
-            holds[pair], overlap = True, True
-    for index in np.flatnonzero(holds):
+        if any(lamps[i].shows_geometry for i in pair):
+            lit[pair], overlap = True, True
+    for index in np.flatnonzero(lit):
         lamps[index].light_inside()
     return overlap
 
@@ -401,3 +395,32 @@ def _equal(first: Any, second: Any) -> bool:
 def _indices(value: Any) -> list[int]:
     """Indices of the arrays of a value, as `mitsuba.SceneParameters` compares them."""
     return dr.detail.collect_indices(value)
+
+
+def box_tree(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Nodes [2 N - 1, 8] of a binary tree over N ≥ 1 boxes, in depth-first order.
+
+    A row has the centre and the half extents of a box; the row that follows its subtree; and the
+    number of the box, -1 for a node with children. A node is followed by its first child, so a ray
+    that meets it continues with the next row, and one that misses it with the row that follows its
+    subtree.
+    """
+    rows: list[NDArray[np.float64]] = []
+
+    def add(members: NDArray[np.int64]) -> None:
+        corner, other = low[members].min(axis=0), high[members].max(axis=0)
+        half = (other - corner) / 2 * (1 + _SLACK)
+        box = members[0] if len(members) == 1 else -1
+        row = np.array([*(corner + other) / 2, *half, 0, box])
+        rows.append(row)
+        if len(members) > 1:
+            centres = low[members] + high[members]
+            axis = np.ptp(centres, axis=0).argmax()
+            members = members[np.argsort(centres[:, axis], kind="stable")]
+            middle = len(members) // 2
+            add(members[:middle])
+            add(members[middle:])
+        row[6] = len(rows)
+
+    add(np.arange(len(low)))
+    return np.array(rows)
