@@ -137,7 +137,7 @@ def illuminance(
     normals: ArrayLike | None = None,
     error: float = 0.02,
     time: float | None = None,
-    direct_only: bool = False,
+    direct: bool = False,
     unit: float | str = "m",
     seed: int = 0,
     variant: str | None = None,
@@ -160,7 +160,7 @@ def illuminance(
         error: standard error of the total at each point that is enough, relative to the illuminance
             there or, if this is more, to a tenth of the mean of all points; 0.0001 to 1.
         time: after which no more light is sampled, s, 0.001 to 10⁷; default: no limit.
-        direct_only: whether to omit reflected light.
+        direct: whether to omit reflected light.
         unit: unit of length of the scene: "m", "cm", "mm", "in", "ft", or the metres in a unit. It
             counts for `Placement.lumens` and for photometric files, which state metres; the
             illuminance of all other lamps follows from radiance.
@@ -223,7 +223,7 @@ def illuminance(
                 normal,
                 error=error,
                 seconds=time,
-                reflected=not direct_only,
+                reflected=not direct,
                 seed=seed,
             )
     figures, first = [], 0
@@ -240,7 +240,7 @@ def illuminance(
             )
     return IlluminanceResult(
         areas=figures,
-        direct_only=direct_only,
+        direct_only=direct,
         position=position,
         normal=normal / np.linalg.norm(normal, axis=1)[:, None],
         receivers=areas,

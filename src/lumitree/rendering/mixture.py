@@ -42,7 +42,7 @@ class MixResult(SavedImage):
 @in_turn
 def mix(
     layers: FilePath | Mapping[str, NDArray[np.float32]],
-    gains: Mapping[str, float | tuple[float, float, float]] | None = None,
+    gain: Mapping[str, float | tuple[float, float, float]] | None = None,
     *,
     view: View = "standard",
     exposure: float | None = None,
@@ -52,7 +52,7 @@ def mix(
     Args:
         layers: `RenderResult.layers`, arrays [height, width, 3] of linear radiance by name; or the
             path of a file that `RenderResult.save_layers` has written.
-        gains: by name of the layer, factors [3] on R, G and B of its light, or one number for all;
+        gain: by name of the layer, factors [3] on R, G and B of its light, or one number for all;
             0 to 10⁶. Default: 1.
         view: view transform of `png`, as for `render`.
         exposure: factor on the radiance before it, 10⁻¹² to 10¹². Default: the exposure of the
@@ -68,7 +68,7 @@ def mix(
             OpenColorIO.
     """
     check_view(view, exposure)
-    factors = {name: check_gain(gain) for name, gain in (gains or {}).items()}
+    factors = {name: check_gain(each) for name, each in (gain or {}).items()}
     watch = Stopwatch()
     with watch.stage("mix"):
         if isinstance(layers, Mapping):
@@ -105,7 +105,7 @@ def mix(
         # The exposure of the image as it was rendered, so that a dimmed lamp looks dimmed.
         exposure = room_exposure(np.stack(list(colours.values())).sum(axis=0, dtype=np.float64))
     settings = image_settings(
-        "mix", layers=file, gains=factors, view=view, exposure=exposure, rendered=rendered
+        "mix", layers=file, gain=factors, view=view, exposure=exposure, rendered=rendered
     )
     return MixResult(
         pixels=pixels,
