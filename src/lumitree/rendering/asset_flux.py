@@ -100,8 +100,8 @@ def gain_to(
 
     The factor for a temperature is c(T) / c: c(T) is the colour of a black body in linear sRGB, and
     c = watts / L the colour of the lamp's whole flux, both with luminance 1. So the luminous flux
-    stays, and the whole flux has the chromaticity of the black body. It is a factor per channel; no
-    chromatic adaptation is involved.
+    stays, and the whole flux has the chromaticity of the black body. It is a factor per channel;
+    no chromatic adaptation is involved.
 
     Args:
         watts: [3] flux of the lamp, W.
