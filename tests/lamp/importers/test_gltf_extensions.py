@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from lumitree.lamp.parts import Diffuse, Glass, Medium, Principled
+from lumitree.asset.geometry import Medium
+from lumitree.lamp.parts import Diffuse, Glass, MetallicRoughness
 from support.gltf_builder import Gltf
 from support.gltf_materials import extended, material_of, read_only
 
@@ -31,15 +32,15 @@ ABSORBING = Medium((np.log(2) / 2, np.log(4) / 2, 0.0))
         ),
         (
             extended({"roughnessFactor": 0.3}, transmission=CLEAR),
-            Principled(WHITE, roughness=0.3, transmission=1.0, thin=True),
+            MetallicRoughness(WHITE, roughness=0.3, transmission=1.0, thin=True),
         ),
         (
             extended(SMOOTH, transmission={"transmissionFactor": 0.5}),
-            Principled(WHITE, roughness=0.0, transmission=0.5, thin=True),
+            MetallicRoughness(WHITE, roughness=0.0, transmission=0.5, thin=True),
         ),
         (
             extended(diffuse_transmission={"diffuseTransmissionFactor": 0.4}),
-            Principled(WHITE, roughness=1.0, diffuse_transmission=0.8, thin=True),
+            MetallicRoughness(WHITE, roughness=1.0, diffuse_transmission=0.8, thin=True),
         ),
     ],
 )

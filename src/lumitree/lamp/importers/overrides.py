@@ -13,6 +13,7 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 
+from lumitree.asset.geometry import Medium
 from lumitree.asset.materials import CONDUCTORS
 from lumitree.core.arguments import UNITS
 from lumitree.core.frames import similarity
@@ -42,10 +43,9 @@ from lumitree.lamp.parts import (
     Geometry,
     Glass,
     Material,
-    Medium,
     Metal,
+    MetallicRoughness,
     Part,
-    Principled,
     Surface,
     Texture,
     Value,
@@ -260,17 +260,12 @@ def _in_metres(model: Geometry, overrides: Overrides) -> Geometry:
 
 
 def _rescaled(material: Material, scale: float) -> Material:
-    """The material in a model `scale` times as large: coefficients of media are per length."""
+    """The material in a model `scale` times as large."""
     glass = material.surface
     if not isinstance(glass, Glass) or glass.medium is None:
         return material
-
-    def divided(colour: RGB) -> RGB:
-        return (colour[0] / scale, colour[1] / scale, colour[2] / scale)
-
-    medium = glass.medium
-    medium = Medium(divided(medium.absorption), divided(medium.scattering), medium.anisotropy)
-    return dataclasses.replace(material, surface=dataclasses.replace(glass, medium=medium))
+    glass = dataclasses.replace(glass, medium=glass.medium.scaled(scale))
+    return dataclasses.replace(material, surface=glass)
 
 
 def _resurfaced(model: Geometry, material: Material, change: MaterialOverride) -> Material:
@@ -424,7 +419,7 @@ def _diffuse(table: Table) -> tuple[Surface, bool]:
 
 def _principled(table: Table) -> tuple[Surface, bool]:
     share = number(0.0, 1.0)
-    surface = Principled(
+    surface = MetallicRoughness(
         base_color=table.take("base_color", _rgb(1.0)) or (0.5, 0.5, 0.5),
         metallic=table.take("metallic", share) or 0.0,
         roughness=_or(table.take("roughness", share), 0.5),
