@@ -53,7 +53,10 @@ def measure(source: LuminaireSource, path: Path, options: argparse.Namespace) ->
             source,
             path,
             lumitree.BakeConfig(
-                parts=PARTS, time=options.bake_seconds, irradiance_paths=0, seed=options.seed
+                parts=PARTS,
+                octree=lumitree.OctreeConfig(time=options.bake_seconds),
+                irradiance_paths=0,
+                seed=options.seed,
             ),
         )
     asset = lumitree.load(path)

@@ -34,18 +34,16 @@ def measure(name: str, options: argparse.Namespace) -> list[dict]:
         irradiance_error,
         luminaire_irradiance,
     )
-    from lumitree.trace.light_field_config import LightFieldFitConfig
+    from lumitree.trace.light_field_config import LightFieldConfig
 
     luminaire = load_luminaire(name)
     reference = luminaire_irradiance(luminaire, REFERENCE_PATHS, seed=options.seed + 1)
     rows = []
     for depth, resolution in GRIDS:
-        config = LightFieldFitConfig(
-            paths=options.paths, depth=depth, resolution=resolution, seed=options.seed
-        )
+        config = LightFieldConfig(paths=options.paths, depth=depth, resolution=resolution)
         with tempfile.TemporaryDirectory() as folder:
             start = time.perf_counter()
-            field = bake_light_field(luminaire, config, Path(folder))
+            field = bake_light_field(luminaire, config, Path(folder), seed=options.seed)
             seconds = time.perf_counter() - start
         asset = light_field_asset(field, luminaire.frame, luminaire.name)
         error = irradiance_error(asset_irradiance(asset, REFERENCE_PATHS), reference)

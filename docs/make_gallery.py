@@ -28,7 +28,7 @@ def main() -> None:
     result = lumitree.bake_many(
         list(BUILTIN),
         BAKES,
-        dataclasses.replace(lumitree.BakeConfig.preview(), irradiance_paths=0),
+        dataclasses.replace(lumitree.BakeConfig.of("preview"), irradiance_paths=0),
     )
     PAGES.mkdir(parents=True, exist_ok=True)
     THUMBNAILS.mkdir(parents=True, exist_ok=True)

@@ -18,9 +18,7 @@ if not Path("ball.lumitree").exists():
     raise SystemExit("run 01_build_an_asset.py first")
 
 Path("lamp.xml").write_text(LUMINAIRE)
-lumitree.capture(
-    "lamp.xml", "views", num_views=3, resolution=64, samples_per_pixel=64, split="test"
-)
+lumitree.capture("lamp.xml", "views", views=3, resolution=64, spp=64, split="test")
 result = lumitree.evaluate("ball.lumitree", "views", "comparison.png")
 for name, value in result.metrics.items():
     print(f"{name:>20}  {value:.3f}")

@@ -12,9 +12,7 @@ import lumitree
 from lumitree import demo
 from lumitree.core.files import WorkFolder
 from lumitree.core.frames import rotation, similarity
-from lumitree.fit.config import NETWORK_BAKES, NetworkConfig
-from lumitree.fit.network.config import PRESETS
-from lumitree.rendering.asset_cache import open_field
+from lumitree.fit.config import BakeConfig
 from support import tiny_bakes
 from support.fields import random_asset
 from support.light_fields import assert_equal_fields
@@ -31,16 +29,13 @@ LAMP = """<scene version="3.0.0">
 @pytest.fixture
 def tiny(mi, monkeypatch):
     """An octree fit of seconds."""
-    tiny_bakes.set_qualities(monkeypatch.setitem)
+    tiny_bakes.set_qualities(monkeypatch.setattr)
 
 
 @pytest.fixture
 def tiny_network(network_packages, monkeypatch):
     """A network's bake of seconds: few views, a small network, few light paths."""
-    tiny_bakes.set_qualities(monkeypatch.setitem)
-    preset = tiny_bakes.network_config()
-    monkeypatch.setitem(PRESETS, "preview", preset.train)
-    monkeypatch.setitem(NETWORK_BAKES, "preview", preset)
+    tiny_bakes.set_qualities(monkeypatch.setattr)
 
 
 @pytest.mark.slow
@@ -55,7 +50,7 @@ def test_bake_evaluate_render(mi, tiny, tmp_path, monkeypatch):
     assert not (tmp_path / "lamp.work").exists()
     json.dumps(baked.to_json(), allow_nan=False)
     report = lumitree.evaluate(
-        "lamp.lumitree", "lamp.xml", "sheet.png", num_views=3, resolution=48, samples_per_pixel=64,
+        "lamp.lumitree", "lamp.xml", "sheet.png", views=3, resolution=48, spp=64,
         irradiance_paths=1 << 17,
     )  # fmt: skip
     metrics = report.metrics
@@ -78,7 +73,7 @@ def test_bake_evaluate_render(mi, tiny, tmp_path, monkeypatch):
 def test_network_bake_evaluate(mi, tiny_network, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "lamp.xml").write_text(LAMP)
-    baked = lumitree.bake_network("lamp.xml", "lamp.lumitree")
+    baked = lumitree.bake("lamp.xml", "lamp.lumitree", method="network")
     assert baked.asset.info.leaves > 50
     assert set(baked.seconds) == {"light", "capture", "train", "extract", "irradiance"}
     lit = lumitree.bake("lamp.xml", config=standard(parts=["light"], irradiance_paths=0)).asset
@@ -86,7 +81,7 @@ def test_network_bake_evaluate(mi, tiny_network, tmp_path, monkeypatch):
     assert baked.irradiance["irradiance_ratio"] == pytest.approx(1, abs=0.05)
     assert not (tmp_path / "lamp.work").exists()
     metrics = lumitree.evaluate(
-        "lamp.lumitree", "lamp.xml", num_views=3, resolution=48, samples_per_pixel=64,
+        "lamp.lumitree", "lamp.xml", views=3, resolution=48, spp=64,
         irradiance_paths=0,
     ).metrics  # fmt: skip
     assert metrics["psnr_linear"] > metrics["psnr_linear_black"] + 6
@@ -96,13 +91,12 @@ def test_a_network_needs_the_part_field(mi, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for parts, message in (
         (["light"], "parts are light; expected field"),
-        ([], "parts are none; expected field"),
+        ([], "parts are none; expected"),
         (["nonsense"], "part is 'nonsense'; expected light, field"),
+        (["field", "geometry"], "parts are field, geometry; expected field"),
     ):
         with pytest.raises(lumitree.LumitreeError, match=message):
-            NetworkConfig(parts=parts)
-    with pytest.raises(lumitree.LumitreeError, match="seed is -1"):
-        NetworkConfig(seed=-1)
+            BakeConfig(method="network", parts=parts)
     assert os.listdir() == []
 
 
@@ -117,14 +111,14 @@ def test_an_interrupted_network_bake_continues(mi, tiny_network, tmp_path, monke
     with monkeypatch.context() as patch:
         patch.setattr("lumitree.octree.extract.extract", interrupt)
         with pytest.raises(KeyboardInterrupt):
-            lumitree.bake_network("lamp.xml", "lamp.lumitree")
+            lumitree.bake("lamp.xml", "lamp.lumitree", method="network")
     assert not (tmp_path / "lamp.lumitree").exists()
     views = tmp_path / "lamp.work" / "dataset" / "view_000001.exr"
     history = tmp_path / "lamp.work" / "run" / "history.json"
     before = views.stat().st_mtime_ns, history.read_bytes()
     with monkeypatch.context() as patch:
         patch.setattr(WorkFolder, "remove", lambda *_: None)
-        lumitree.bake_network("lamp.xml", "lamp.lumitree")
+        lumitree.bake("lamp.xml", "lamp.lumitree", method="network")
     assert (tmp_path / "lamp.lumitree").exists()
     # Neither the views nor the training are repeated; the history has the time of each report.
     assert (views.stat().st_mtime_ns, history.read_bytes()) == before
@@ -146,7 +140,7 @@ def test_demo(tiny_demo, tmp_path):
     quick = demo.run("quick")
     assert set(quick["room"]) == {"baked", "explicit"}
     assert "evaluate" not in quick
-    assert quick["room"]["baked"]["samples_per_pixel"] >= 16
+    assert quick["room"]["baked"]["spp"] >= 16
     assert (tmp_path / "quick" / "comparison.png").stat().st_size > 10_000
 
 
@@ -180,7 +174,7 @@ def test_dictionaries_and_scenes_are_luminaires(mi, tmp_path):
 
 
 def tiny_view(luminaire):
-    return lumitree.preview(luminaire, resolution=16, samples_per_pixel=16, progress=None)
+    return lumitree.preview(luminaire, resolution=16, spp=16, progress=None)
 
 
 @pytest.mark.parametrize(
@@ -224,8 +218,6 @@ def test_lines_of_an_asset_are_those_of_the_reference(mi):
         np.testing.assert_allclose(radiance[index], expected, rtol=2e-3, atol=1e-4)
         assert through[index] == pytest.approx(transmittance, abs=1e-3)
     assert asset.eval(np.zeros((0, 3)), np.zeros((0, 3)))[0].shape == (0, 3)
-    # What renders the asset finds the same copy open.
-    assert open_field(asset) is open_field(asset)
     for bad in (np.zeros((4, 3)), np.full((4, 3), np.nan), np.ones((3, 3)), np.ones(3)):
         with pytest.raises(lumitree.LumitreeError):
             asset.eval(np.zeros((4, 3)), bad)

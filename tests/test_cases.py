@@ -70,4 +70,4 @@ def test_two_units_and_rated_lumens_are_warned_of(mi):
         pytest.warns(LumitreeWarning, match="no emission areas"),
         pytest.warns(LumitreeWarning, match="974.9.* lm, where its lamps are rated at 4000 lm"),
     ):
-        lumitree.bake_photometric(rated)
+        lumitree.bake(rated)

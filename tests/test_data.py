@@ -39,8 +39,8 @@ def test_luminaires_are_captured(mi, tmp_path, name):
     )
     with expected:
         lumitree.capture(
-            str(DATA / "luminaires" / name), str(tmp_path), num_views=2, resolution=48,
-            samples_per_pixel=16,
+            str(DATA / "luminaires" / name), str(tmp_path), views=2, resolution=48,
+            spp=16,
         )  # fmt: skip
     for view in Dataset.open(tmp_path).views():
         assert view.radiance.max() > 0
@@ -99,7 +99,7 @@ def test_obj_and_hand_made_scene_give_the_same_light(mi, tmp_path):
     for name, source in (("obj", model_source("scopia_chandelier")), ("xml", hand_made)):
         luminaire = load_luminaire(source)
         assert luminaire.has_media
-        views = list(capture(luminaire, tmp_path / name, num_views=3, resolution=96).views())
+        views = list(capture(luminaire, tmp_path / name, views=3, resolution=96).views())
         means.append([
             np.mean([view.radiance.mean() for view in views]),
             np.mean([view.geometric.mean() for view in views]),
@@ -174,7 +174,7 @@ def test_baked_chandelier_lights_every_room(baked, room):
     image = lumitree.render(
         str(DATA / "rooms" / room / "room_night.xml"),
         [lumitree.Placement(baked, at=PLACES[room], size=0.8)],
-        samples_per_pixel=16,
+        spp=16,
         width=160,
     ).pixels
     assert np.isfinite(image).all()

@@ -35,7 +35,7 @@ def comment(path):
 @pytest.mark.slow
 def test_renders_and_what_is_mixed_of_them():
     lamps = [lumitree.Placement("lamp.lumitree", at=(0, 9, 0), lumens=30.0, label="Küche")]
-    image = lumitree.render("room.xml", lamps, samples_per_pixel=2, seed=7, layers=True, aov=True)
+    image = lumitree.render("room.xml", lamps, spp=2, seed=7, layers=True, aov=True)
     for name in ("a.png", "a.exr"):
         image.save(name)
     image.save_layers("layers.exr")
@@ -43,13 +43,13 @@ def test_renders_and_what_is_mixed_of_them():
     first = comment("a.png")
     assert first["command"] == "render"
     assert first["lumitree"] == lumitree.__version__
-    assert (first["scene"], first["seed"], first["samples_per_pixel"]) == ("room.xml", 7, 2)
+    assert (first["scene"], first["seed"], first["spp"]) == ("room.xml", 7, 2)
     lamp = first["lamps"]["Küche"]
     assert (lamp["source"], lamp["at"], lamp["lumens"]) == ("lamp.lumitree", [0, 9, 0], 30)
     assert comment("a.exr") == comment("layers.exr") == comment("buffers.exr") == first
     lumitree.mix("layers.exr", {"Küche": 0.5}).save("mixed.png")
     mixed = comment("mixed.png")
-    assert mixed["gains"] == {"Küche": [0.5, 0.5, 0.5]}
+    assert mixed["gain"] == {"Küche": [0.5, 0.5, 0.5]}
     assert json.loads(mixed["rendered"]) == first
 
 

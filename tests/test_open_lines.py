@@ -24,7 +24,7 @@ LAMP = ("bake", "lamp.xml", "--parts", "light")
 @pytest.fixture(autouse=True)
 def folder(tmp_path, monkeypatch, mi):
     monkeypatch.chdir(tmp_path)
-    set_qualities(monkeypatch.setitem)
+    set_qualities(monkeypatch.setattr)
     (tmp_path / "lamp.xml").write_text(scene(sphere("ball", 1, inside=AREA)))
     (tmp_path / "room.xml").write_text(room(8, 8))
     frame = random_asset(0).frame

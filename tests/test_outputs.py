@@ -44,7 +44,7 @@ def inputs(mi, tmp_path_factory):
 def folder(inputs, tmp_path, monkeypatch):
     shutil.copytree(inputs, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
-    tiny_bakes.set_qualities(monkeypatch.setitem)
+    tiny_bakes.set_qualities(monkeypatch.setattr)
     return tmp_path
 
 

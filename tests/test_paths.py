@@ -98,7 +98,7 @@ def folder(tmp_path, monkeypatch, mi):
     [*COMMANDS, *(slow(*each) for each in SLOW_COMMANDS)],
 )
 def test_the_command_works(folder, monkeypatch, command, written):
-    set_qualities(monkeypatch.setitem)
+    set_qualities(monkeypatch.setattr)
     assert main(shlex.split(command.format(folder))) == 0
     assert (folder / written).exists()
     assert not list((folder.parent / "elsewhere").iterdir())

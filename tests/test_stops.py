@@ -49,7 +49,7 @@ def left():
 
 def test_a_signal_while_mitsuba_makes_a_plugin_ends_the_command(monkeypatch, capfd):
     """Mitsuba turns it into RuntimeError."""
-    from lumitree.rendering.plugins import shape as proxy_shape
+    from lumitree.rendering import shapes as proxy_shape
 
     make = proxy_shape._proxy
 
@@ -89,7 +89,7 @@ def test_a_signal_after_a_bake_is_complete_changes_nothing(tiny, monkeypatch, ca
 
 @pytest.fixture
 def tiny(monkeypatch):
-    tiny_bakes.set_qualities(monkeypatch.setitem)
+    tiny_bakes.set_qualities(monkeypatch.setattr)
 
 
 @pytest.fixture
@@ -143,7 +143,7 @@ def test_a_stopped_bake_writes_its_best_and_continues(tiny, steps, capfd):
 @pytest.mark.slow
 def test_a_killed_bake_repeats_one_step_and_gives_the_same_bytes(tiny, steps, monkeypatch):
     often = {"save_seconds": 0.0, "save_time_factor": 0.0}
-    tiny_bakes.set_qualities(monkeypatch.setitem, rays=1 << 18, schedule=often)
+    tiny_bakes.set_qualities(monkeypatch.setattr, rays=1 << 18, schedule=often)
     assert main([*BAKE[:-1], "whole.lumitree"]) == 0
     done = list(steps)
     steps.clear()
@@ -162,7 +162,7 @@ def test_a_full_work_disk_is_warned_of_once_and_the_bake_goes_on(
     tiny, steps, monkeypatch, capsys, command
 ):
     often = {"save_seconds": 0.0, "save_time_factor": 0.0}
-    tiny_bakes.set_qualities(monkeypatch.setitem, schedule=often)
+    tiny_bakes.set_qualities(monkeypatch.setattr, schedule=often)
     monkeypatch.setattr(np, "savez", run_out_of_disk)
     assert main([*command, *work(command, "full")]) == 0
     err = capsys.readouterr().err

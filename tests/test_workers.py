@@ -13,7 +13,6 @@ from lumitree.core.backend import num_cores
 from lumitree.core.executor import process_pool
 from lumitree.core.images import read_exr
 from lumitree.errors import LumitreeError
-from lumitree.fit.config import QUALITIES
 from lumitree.fit.light_field import bake as light_field_bake
 from lumitree.lamp import luminaire as sent
 from lumitree.rendering import passes, render_job
@@ -32,7 +31,7 @@ SKY = '<emitter type="constant"><rgb name="radiance" value="0.5,0.5,0.5"/></emit
 ROOM = room(16, 12, SKY)
 # Pixels of the room, and samples per pixel of a pass.
 PIXELS, SAMPLES = 16 * 12, 4
-CAPTURE = {"num_views": 5, "resolution": 8, "samples_per_pixel": 4}
+CAPTURE = {"views": 5, "resolution": 8, "spp": 4}
 PATHS = 1 << 14
 
 
@@ -66,9 +65,7 @@ def pool():
 def bake_config(**options):
     """Settings of a light field of five batches."""
     light_field = lumitree.LightFieldConfig(paths=5 * PATHS, batch=PATHS, depth=3, resolution=16)
-    return lumitree.BakeConfig(
-        parts=("light",), light_field=light_field, irradiance_paths=0, **options
-    )
+    return lumitree.BakeConfig(parts=("light",), light=light_field, irradiance_paths=0, **options)
 
 
 def captured(name, executor=None, **options):
@@ -98,7 +95,7 @@ def test_views_are_those_of_one_process(pool):
     expected = captured("alone")
     executor = LastFirst()
     assert_equal_views(captured("shared", executor), expected)
-    assert len(executor.order) == CAPTURE["num_views"]
+    assert len(executor.order) == CAPTURE["views"]
     assert_equal_views(captured("pool", pool), expected)
 
 
@@ -107,20 +104,20 @@ def test_workers_share_the_cores(pool):
 
 
 def test_images_are_those_of_one_process(pool):
-    expected = rendered(samples_per_pixel=18, seed=3)
+    expected = rendered(spp=18, seed=3)
     for executor in (LastFirst(), pool):
-        found = rendered(executor, samples_per_pixel=18, seed=3)
+        found = rendered(executor, spp=18, seed=3)
         assert_equal_images(found.pixels, expected.pixels)
-        assert found.samples_per_pixel == 18
+        assert found.spp == 18
         assert found.noise == pytest.approx(expected.noise, rel=1e-4)
         assert found.settings == expected.settings or "noise" in found.settings
 
 
 def test_images_until_a_noise_have_as_many_samples_as_those_of_one_process():
     expected = rendered(noise=0.1)
-    assert 8 * SAMPLES <= expected.samples_per_pixel < 1 << 14
+    assert 8 * SAMPLES <= expected.spp < 1 << 14
     found = rendered(LastFirst(), noise=0.1)
-    assert found.samples_per_pixel == expected.samples_per_pixel
+    assert found.spp == expected.spp
     assert_equal_images(found.pixels, expected.pixels)
 
 
@@ -128,7 +125,7 @@ def test_images_until_a_noise_have_as_many_samples_as_those_of_one_process():
 def test_layers_are_those_of_one_process():
     lumitree.bake("lamp.xml", "lamp.lumitree", bake_config(), variant=VARIANT)
     placements = [lumitree.Placement("lamp.lumitree", at=(0, 1, 0), size=1)]
-    options = {"layers": True, "aov": True, "samples_per_pixel": 10, "placements": placements}
+    options = {"layers": True, "aov": True, "spp": 10, "placements": placements}
     expected, found = rendered(**options), rendered(LastFirst(), **options)
     assert list(found.layers) == list(expected.layers) == ["room", "lamp"]
     for name, layer in expected.layers.items():
@@ -139,9 +136,9 @@ def test_layers_are_those_of_one_process():
 
 def test_a_changed_scene_is_read_again():
     executor = LastFirst()
-    before = rendered(executor, samples_per_pixel=4)
+    before = rendered(executor, spp=4)
     Path("room.xml").write_text(ROOM.replace("0.5,0.5,0.5", "1,1,1"))
-    after = rendered(executor, samples_per_pixel=4)
+    after = rendered(executor, spp=4)
     assert after.pixels.mean() == pytest.approx(2 * before.pixels.mean(), rel=0.01)
 
 
@@ -223,8 +220,7 @@ def shared_by(monkeypatch):
     ids=lambda value: str(value).partition(" ")[0],
 )
 def test_commands_have_options_for_workers(command, option, value, shared_by, monkeypatch, capsys):
-    for name in QUALITIES:
-        monkeypatch.setitem(QUALITIES, name, bake_config())
+    monkeypatch.setattr(lumitree.BakeConfig, "of", staticmethod(lambda *_: bake_config()))
     executor, asked = shared_by
     assert main([*command.split(), *option]) == 0, capsys.readouterr().err
     assert len(executor.order) >= 2
@@ -234,8 +230,8 @@ def test_commands_have_options_for_workers(command, option, value, shared_by, mo
 def test_workers_are_refused_where_there_are_no_light_paths(folder, capsys):
     (folder / "a.ies").write_text("IESNA:LM-63-2002\nTILT=NONE\n")
     for luminaire, more, message in (
-        ("a.ies", (), r"--workers: not for a photometric file such as a\.ies; leave it out"),
-        ("lamp.xml", ("--parts", "field"), "--workers: for the light paths of the part light"),
+        ("a.ies", (), r"executor: not for a photometric file such as a\.ies; leave it out"),
+        ("lamp.xml", ("--parts", "field"), "executor: for the part light"),
     ):
         command = ["bake", luminaire, "-o", "a.lumitree", "--workers", "2", *more]
         assert main(command) == 2

@@ -62,7 +62,7 @@ class LongRun:
                 self.seconds = {name: float(saved[name]) for name in self.seconds}
 
     @property
-    def samples_per_pixel(self) -> int:
+    def spp(self) -> int:
         """Samples per pixel of all batches together."""
         return self.samples * len(self.batches)
 

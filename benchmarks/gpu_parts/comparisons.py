@@ -164,9 +164,7 @@ def _light_field(sizes: Sizes, assets: Path, seed: int) -> Batches:
                 parts=("light",),
                 irradiance_paths=0,
                 seed=seed + index,
-                light_field=dataclasses.replace(
-                    sizes.bake.light_field, paths=sizes.paths, batch=sizes.paths
-                ),
+                light=dataclasses.replace(sizes.bake.light, paths=sizes.paths, batch=sizes.paths),
             )
             asset = lumitree.bake(lamp, config=config, progress=None).asset
             assert asset.light_field is not None

@@ -7,7 +7,7 @@ from typing import Literal, get_args
 from benchmarks.paper_tables.scales import SCALES, ScaleName
 from lumitree.asset.asset import PARTS
 from lumitree.fit.config import BakeConfig
-from lumitree.fit.network.config import PRESETS, TrainConfig
+from lumitree.fit.network.config import TrainConfig
 from lumitree.fit.octree.config import (
     CalibrationConfig,
     EstimateConfig,
@@ -76,18 +76,18 @@ SIZES: dict[SizeName, Sizes] = {
         rays=1 << 20,
         paths=1 << 19,
         bake=dataclasses.replace(
-            BakeConfig.preview(),
+            BakeConfig.of("preview"),
             parts=PARTS,
-            time=None,
-            rays=1 << 20,
-            tree_depth=7,
+            octree=dataclasses.replace(
+                BakeConfig.of("preview").octree, time=None, rays=1 << 20, tree_depth=7
+            ),
             irradiance_paths=0,
         ),
         patience=1.0,
         illumination=(480, 64),
         paper="gpu",
         network_lamp="dallas",
-        network=PRESETS["paper"],
+        network=TrainConfig(),
         octree=(8, 64),
         reserve=90.0,
         tests={
@@ -114,13 +114,13 @@ SIZES: dict[SizeName, Sizes] = {
         paths=1 << 14,
         bake=BakeConfig(
             parts=PARTS,
-            time=None,
-            rays=1 << 14,
-            tree_depth=4,
-            l_max=0,
             irradiance_paths=0,
-            light_field=LightFieldConfig(paths=1 << 16, batch=1 << 16, depth=3, resolution=16),
+            light=LightFieldConfig(paths=1 << 16, batch=1 << 16, depth=3, resolution=16),
             octree=OctreeConfig(
+                time=None,
+                rays=1 << 14,
+                tree_depth=4,
+                l_max=0,
                 max_radiance=MaxRadianceConfig(rays=1 << 15),
                 estimate=EstimateConfig(rays=1 << 16, growth_rays=1 << 15, batch_rays=1 << 15),
                 calibration=CalibrationConfig(rays=1 << 13),

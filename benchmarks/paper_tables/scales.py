@@ -3,7 +3,7 @@
 import dataclasses
 from typing import Literal, get_args
 
-from lumitree.fit.network.config import PRESETS, TrainConfig
+from lumitree.fit.network.config import TrainConfig
 
 LAMPS = ("dallas", "portica", "cluster", "neoclassical", "star")
 ScaleName = Literal["paper", "gpu", "cpu", "test"]
@@ -87,7 +87,7 @@ class Scale:
 
 
 # The network of two cores, by the paper's law.
-_SMALL = dataclasses.replace(PRESETS["preview"], law="linear")
+_SMALL = dataclasses.replace(TrainConfig.preview(), law="linear")
 
 SCALES: dict[ScaleName, Scale] = {
     # The paper's: Sec. 4.4, 5 and 6.1. The paper states neither its paths per pixel nor the
@@ -98,7 +98,7 @@ SCALES: dict[ScaleName, Scale] = {
         train=Views(100, 800, 256),
         test=Views(100, 800, 256),
         large=Views(2, 800, 1024),
-        network=PRESETS["paper"],
+        network=TrainConfig(),
         network_depth=10,
         samples_per_leaf=256,
         direct=Direct("high", 10, 1 << 28),
@@ -117,7 +117,7 @@ SCALES: dict[ScaleName, Scale] = {
         train=Views(100, 400, 64),
         test=Views(6, 400, 512),
         large=Views(2, 800, 256),
-        network=dataclasses.replace(PRESETS["paper"], num_steps=12_000),
+        network=dataclasses.replace(TrainConfig(), num_steps=12_000),
         network_depth=8,
         samples_per_leaf=64,
         direct=Direct("standard", 9, 1 << 27),

@@ -34,10 +34,10 @@ STORED = ("exponential", "linear")
 QUERY_RAYS = 1 << 18
 
 
-def settings(scale: Scale, law: str, seed: int, longer: int = 1) -> TrainConfig:
+def settings(scale: Scale, law: str, longer: int = 1) -> TrainConfig:
     """Settings of a run; `longer` times the steps, with the schedule as long."""
     steps = longer * scale.network.num_steps
-    return dataclasses.replace(scale.network, seed=seed, num_steps=steps, **LAWS[law][1])
+    return dataclasses.replace(scale.network, num_steps=steps, **LAWS[law][1])
 
 
 def cells(scale: Scale) -> list[Cell]:
@@ -45,30 +45,32 @@ def cells(scale: Scale) -> list[Cell]:
     views = {"train": scale.train, "test": scale.test}
     octree = {"depth": scale.network_depth, "samples_per_leaf": scale.samples_per_leaf}
 
-    def training(lamp: str, law: str, end: str, config: TrainConfig, longer: int) -> Cell:
+    def training(
+        lamp: str, law: str, end: str, config: TrainConfig, seed: int, longer: int
+    ) -> Cell:
         return Cell(
             f"4-{lamp}-{law}-{end}",
             4,
-            {"lamp": lamp, "network": config, **views, **octree},
+            {"lamp": lamp, "network": config, "seed": seed, **views, **octree},
             longer * scale.minutes[0],
-            lambda work: measure(work, lamp, config),
+            lambda work: measure(work, lamp, config, seed),
         )
 
     lamps = scale.transmittance_lamps
     found = [
-        training(lamp, law, str(seed), settings(scale, law, seed), 1)
+        training(lamp, law, str(seed), settings(scale, law), seed, 1)
         for seed in range(scale.seeds)
         for lamp in lamps
         for law in LAWS
     ]
     if scale.longer > 1:
         found += [
-            training(lamp, law, "longer", settings(scale, law, 0, scale.longer), scale.longer)
+            training(lamp, law, "longer", settings(scale, law, scale.longer), 0, scale.longer)
             for lamp in lamps
             for law in STORED
         ]
     for lamp in lamps:
-        networks = {law: settings(scale, law, 0) for law in STORED}
+        networks = {law: settings(scale, law) for law in STORED}
         found.append(
             Cell(
                 f"4-{lamp}-query",
@@ -81,15 +83,15 @@ def cells(scale: Scale) -> list[Cell]:
     return found
 
 
-def measure(work: Work, lamp: str, config: TrainConfig) -> Measured:
+def measure(work: Work, lamp: str, config: TrainConfig, seed: int) -> Measured:
     """Errors of the network, and of its octree where an asset can hold it."""
-    run, views = work.run(lamp, config), test_views(work, lamp)
+    run, views = work.run(lamp, config, seed), test_views(work, lamp)
     values: dict[str, Any] = {
         "network": score_network(run.path, views).metrics,
         "costs": costs(run),
     }
     if config.emission_weights == "decrease":
-        asset = work.network_asset(lamp, config)
+        asset = work.network_asset(lamp, config, seed)
         values |= {"octree": score_asset(asset.path, views).metrics, "costs": costs(run, asset)}
     return Measured(values)
 
@@ -101,7 +103,7 @@ def measure_query(work: Work, lamp: str) -> Measured:
 
     jobs, leaves = {}, {}
     for law in STORED:
-        asset = load(work.network_asset(lamp, settings(work.scale, law, 0)).path)
+        asset = load(work.network_asset(lamp, settings(work.scale, law)).path)
         field, lines = Field(asset), random_lines(asset, QUERY_RAYS, seed=0)
         jobs[law] = kernel(lambda field=field, lines=lines: field.emission(*lines))
         leaves[law] = asset.num_leaves

@@ -21,7 +21,7 @@ from benchmarks.paper_tables.scales import Direct, Scale, Views
 from lumitree.core.files import write_json
 from lumitree.core.interruption import Interrupted
 from lumitree.core.results import peak_memory_bytes
-from lumitree.fit.config import QUALITIES
+from lumitree.fit.config import BakeConfig
 from lumitree.fit.network.config import TrainConfig
 from lumitree.lamp.dataset import Split
 
@@ -79,36 +79,36 @@ class Work:
                 lumitree.capture(
                     lamp,
                     at / "dataset",
-                    num_views=views.count,
+                    views=views.count,
                     resolution=views.resolution,
-                    samples_per_pixel=views.samples,
+                    spp=views.samples,
                     split=split,
                 )
             built = _finish(at, "dataset", {})
         return built
 
-    def run(self, lamp: str, config: TrainConfig) -> Built:
+    def run(self, lamp: str, config: TrainConfig, seed: int = 0) -> Built:
         """A trained network, from the scale's training views.
 
         Raises:
             OutOfTimeError: the deadline comes first. The steps so far are kept.
         """
         dataset = self.views(lamp, self.scale.train, "train")
-        parameters = {"lamp": lamp, "views": self.scale.train, "config": config}
+        parameters = {"lamp": lamp, "views": self.scale.train, "config": config, "seed": seed}
         at = self._at(f"run-{lamp}", parameters)
         if (built := _complete(at, "run")) is None:
             with _spending(at):
-                details = self._train(dataset.path, at / "run", config)
+                details = self._train(dataset.path, at / "run", config, seed)
             built = _finish(at, "run", details)
         return built
 
-    def _train(self, dataset: Path, run: Path, config: TrainConfig) -> dict[str, Any]:
+    def _train(self, dataset: Path, run: Path, config: TrainConfig, seed: int) -> dict[str, Any]:
         from lumitree.fit.network.train import train
 
         steps = _FIRST_STEPS
         while True:
             start = time.monotonic()
-            result = train(dataset, run, config, resume=run.exists(), stop_after=steps)
+            result = train(dataset, run, config, seed, resume=run.exists(), stop_after=steps)
             if result.stopped_by is not None:
                 raise Interrupted("the same command continues", result.stopped_by)
             if result.steps >= config.num_steps:
@@ -120,11 +120,11 @@ class Work:
             if steps < _LEAST_STEPS:
                 raise OutOfTimeError
 
-    def network_asset(self, lamp: str, config: TrainConfig) -> Built:
+    def network_asset(self, lamp: str, config: TrainConfig, seed: int = 0) -> Built:
         """The octree of a trained network."""
-        run = self.run(lamp, config)
+        run = self.run(lamp, config, seed)
         depth, samples = self.scale.network_depth, self.scale.samples_per_leaf
-        parameters = {"lamp": lamp, "views": self.scale.train, "config": config}
+        parameters = {"lamp": lamp, "views": self.scale.train, "config": config, "seed": seed}
         parameters |= {"depth": depth, "samples": samples}
         at = self._at(f"octree-{lamp}", parameters)
         if (built := _complete(at, "asset.lumitree")) is None:
@@ -141,18 +141,18 @@ class Work:
         at = self._at(f"direct-{lamp}", parameters)
         if (built := _complete(at, "asset.lumitree")) is None:
             with _spending(at):
+                config = BakeConfig.of(direct.quality)
+                octree = dataclasses.replace(
+                    config.octree,
+                    time=None,
+                    rays=direct.rays,
+                    tree_depth=direct.tree_depth,
+                    l_max=l_max,
+                )
                 baked = lumitree.bake(
                     lamp,
                     at / "asset.lumitree",
-                    dataclasses.replace(
-                        QUALITIES[direct.quality],
-                        time=None,
-                        rays=direct.rays,
-                        tree_depth=direct.tree_depth,
-                        l_max=l_max,
-                        parts=parts,
-                        irradiance_paths=0,
-                    ),
+                    dataclasses.replace(config, octree=octree, parts=parts, irradiance_paths=0),
                     work=at / "bake.work",
                 )
                 if baked.stopped_by is not None:

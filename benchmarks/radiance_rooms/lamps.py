@@ -76,7 +76,7 @@ class ShadedLamp:
         config = lumitree.BakeConfig(
             parts=("light", "geometry"),
             irradiance_paths=0,
-            light_field=lumitree.LightFieldConfig(paths=self.paths),
+            light=lumitree.LightFieldConfig(paths=self.paths),
             seed=self.seed,
         )
         return Placement(lumitree.bake(scene, None, config).asset, at=at)

@@ -103,14 +103,14 @@ def figures(
     """
     weights = diffuse[..., None]
     return Figures(
-        milliseconds=1e3 * run.seconds["cpu"] / run.samples_per_pixel,
+        milliseconds=1e3 * run.seconds["cpu"] / run.spp,
         variance=relative_variance(run.batches, scale, diffuse) * run.samples,
         mean=ratio_of_means(run.batches * weights, reference.batches * weights),
         display=() if whole is None else display_times(run, whole),
         display_bias=None
         if whole is None or run is reference
         else display_bias(run, reference, whole),
-        samples=run.samples_per_pixel,
+        samples=run.spp,
         images=len(run.batches),
         seconds=run.seconds["cpu"],
     )
@@ -161,7 +161,7 @@ def display_times(run: LongRun, whole: NDArray[np.floating]) -> tuple[Reached, .
     """CPU seconds of an image at each of `DISPLAY_LEVELS`."""
     seconds, errors = display_ladder(run, whole)
     found = []
-    square_seconds = display_variance(run, whole) * run.seconds["cpu"] / run.samples_per_pixel
+    square_seconds = display_variance(run, whole) * run.seconds["cpu"] / run.spp
     for level in DISPLAY_LEVELS:
         if errors[0] <= level:
             # In proportion to the variance: an upper bound, where tones saturate.

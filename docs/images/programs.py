@@ -95,7 +95,7 @@ def by_mitsuba(asset: Any, scene: Scene, folder: Path) -> np.ndarray:
         "sensor": {"type": "perspective", "fov": camera["fov"], "to_world": look, "film": film},
         **mitsuba_walls(scene.walls),
     }
-    found = lumitree.render(things, [lumitree.Placement(asset)], samples_per_pixel=64)
+    found = lumitree.render(things, [lumitree.Placement(asset)], spp=64)
     return found.pixels
 
 

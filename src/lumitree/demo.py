@@ -34,14 +34,15 @@ def run(
     """Bake and render; writes images, the asset and `report.json` into `folder`.
 
     Args:
-        full: make a radiance field too, and compare the views of it with those of the lamp.
+        full: make a radiance field too, and compare its views with the lamp's.
     """
     output = Path(folder)
     asset = output / "lamp.lumitree"
-    config = BakeConfig.standard()
+    config = BakeConfig.of()
     if full:
         # `evaluate` compares the irradiance.
-        config = dataclasses.replace(config, parts=PARTS, time=BAKE_SECONDS, irradiance_paths=0)
+        octree = dataclasses.replace(config.octree, time=BAKE_SECONDS)
+        config = BakeConfig(parts=PARTS, octree=octree, irradiance_paths=0)
     baked = bake(LUMINAIRE, asset, config, variant=variant)
     if baked.stopped_by is not None:
         raise Interrupted("the same command continues", baked.stopped_by)
@@ -51,9 +52,9 @@ def run(
             asset,
             LUMINAIRE,
             output / "evaluation.png",
-            num_views=5,
+            views=5,
             resolution=192,
-            samples_per_pixel=128,
+            spp=128,
             irradiance_paths=IRRADIANCE_PATHS,
         )
         seconds, report = seconds | evaluation.seconds, {"evaluate": evaluation.to_json()}
@@ -76,7 +77,7 @@ def _render_room(output: Path, asset: str, seconds: float) -> dict[str, RenderRe
     from lumitree.core.drawing import write_strip
     from lumitree.core.view_transform import room_exposure
     from lumitree.rendering.demo_room import demo_room, lamp
-    from lumitree.rendering.denoise import check_denoiser
+    from lumitree.rendering.layers import check_denoiser
 
     try:
         check_denoiser()
@@ -113,7 +114,4 @@ def _render_room(output: Path, asset: str, seconds: float) -> dict[str, RenderRe
 
 def _caption(name: str, image: RenderResult) -> str:
     noise = "" if image.noise is None else f", noise {image.noise:.0%}"
-    return (
-        f"{name} lamp, {image.seconds['render']:.0f} s\n"
-        f"{image.samples_per_pixel} samples per pixel{noise}"
-    )
+    return f"{name} lamp, {image.seconds['render']:.0f} s\n{image.spp} samples per pixel{noise}"

@@ -13,7 +13,6 @@ from benchmarks.common.lamps import file_name
 from benchmarks.common.setting import command_line
 from benchmarks.inside_box import baked
 from lumitree.errors import LumitreeError
-from lumitree.fit.config import QUALITIES
 from lumitree.lamp.source import LuminaireSource
 from lumitree.trace.light_field_config import LightFieldConfig
 from support import tiny_bakes
@@ -138,9 +137,7 @@ def test_light_field(ran, monkeypatch):
 
 @pytest.mark.slow
 def test_near_field(ran, monkeypatch):
-    tiny_bakes.set_qualities(monkeypatch.setitem)
-    few = tiny_bakes.standard(light_field=LightFieldConfig(1 << 18, batch=1 << 18))
-    monkeypatch.setitem(QUALITIES, "standard", few)
+    tiny_bakes.set_qualities(monkeypatch.setattr, light=LightFieldConfig(1 << 18, batch=1 << 18))
     monkeypatch.setattr(baked, "_RECEIVERS", 1 << 10)
     monkeypatch.setattr(baked, "_SAMPLES", 64)
     Path("lamp.xml").write_text(scene(sphere("bulb", 0.3, inside=AREA), DISC))

@@ -32,7 +32,7 @@ def test_a_long_run_merges_its_batches_and_keeps_their_mean(tmp_path):
     pictures = [Renderer()(samples, seed) for samples, seed in render.calls]
     assert run.mean == pytest.approx(np.mean(pictures, 0), abs=1e-5)
     assert len(run.batches) == MAX_BATCHES // 2
-    assert run.samples_per_pixel == 4 * MAX_BATCHES
+    assert run.spp == 4 * MAX_BATCHES
     # Each batch has twice the samples now: half the variance.
     assert run.batches.var(0, ddof=1).mean() == pytest.approx(1 / 8, rel=0.3)
 
@@ -46,7 +46,7 @@ def test_a_long_run_goes_on_with_new_seeds(tmp_path):
         again.add(second)
     again.save()
     assert not {seed for _, seed in first.calls} & {seed for _, seed in second.calls}
-    assert LongRun(tmp_path / "long.npz", "a").samples_per_pixel == again.samples_per_pixel == 48
+    assert LongRun(tmp_path / "long.npz", "a").spp == again.spp == 48
 
 
 def test_runs_have_no_common_seeds(tmp_path):

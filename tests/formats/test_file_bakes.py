@@ -18,11 +18,10 @@ from lumitree.formats.light_field import (
     bake_rays,
 )
 from lumitree.formats.opening import Opening
-from lumitree.formats.rays import Rays
-from lumitree.formats.tm25 import write_tm25
+from lumitree.formats.tm25 import Rays, write_tm25
 from lumitree.formats.type_c import Grid, IntensityDistribution, direction_of, z_up
 from lumitree.rendering.asset_flux import asset_lumens, asset_watts
-from lumitree.trace.light_field_config import LightFieldFitConfig
+from lumitree.trace.light_field_config import LightFieldConfig
 from support.slow import slow
 from support.walls import irradiance
 
@@ -176,7 +175,7 @@ def test_a_wall_gets_the_analytic_illuminance(mi, tmp_path, name, turned):
     """E = I cos θ / d², rendered from an IES file with next-event estimation."""
     path = tmp_path / "spot.ies"
     write_ies(path, spot())
-    lumitree.bake_photometric(path, tmp_path / "spot.lumitree")
+    lumitree.bake(path, tmp_path / "spot.lumitree")
     matrix = rotation([1, 0, 0], 90) if turned else np.eye(3)
     point, normal = (matrix @ np.array(each, float) for each in POINTS[name])
     lamp = lumitree.shape(tmp_path / "spot.lumitree", similarity(matrix))
@@ -205,7 +204,7 @@ def test_files_of_all_kinds_have_one_flux(mi, tmp_path):
         ("a.ray", luminance(rays.flux.sum(axis=0))),
         ("a.tm25ray", luminance(rays.flux.sum(axis=0))),
     ):
-        result = lumitree.bake_photometric(tmp_path / name, tmp_path / "a.lumitree")
+        result = lumitree.bake(tmp_path / name, tmp_path / "a.lumitree")
         assert asset_lumens(result.asset) == pytest.approx(float(lumens), rel=2e-3)
         assert result.asset.num_leaves == 0
         assert lumitree.load(result.path).light_field is not None
@@ -225,7 +224,7 @@ def uniform_rays(count, seed=0):
 def test_rays_become_a_histogram(mi):
     """Flux by cell and by hemisphere, and the box of the starting points."""
     rays = uniform_rays(1 << 14)
-    config = LightFieldFitConfig(depth=2, resolution=8)
+    config = LightFieldConfig(depth=2, resolution=8)
     asset = bake_rays(rays, "box", config)
     assert asset.frame.centre == pytest.approx([1, 2, 3], abs=1e-3)
     assert asset.frame.size == pytest.approx([0.4, 0.3, 0.15], rel=2e-3)
@@ -246,14 +245,14 @@ def test_z_is_up_in_ray_files(mi, tmp_path):
     assert z_up(rays.direction).tolist() == [[0, 0, -1]]
     path = tmp_path / "down.ray"
     write_tm25(path, rays, "down")
-    asset = lumitree.bake_photometric(path).asset
+    asset = lumitree.bake(path).asset
     assert bin_intensity(asset, [[0.01, -1, 0.01]])[0] > 0
     assert bin_intensity(asset, [[0, 1, 0], [1, 0, 0]]).tolist() == [0, 0]
 
 
 def test_lumens_and_temperature(mi, tmp_path):
     write_ies(tmp_path / "a.ies", spot())
-    warm = lumitree.bake_photometric(tmp_path / "a.ies", lumens=800.0, temperature=2700.0).asset
+    warm = lumitree.bake(tmp_path / "a.ies", lumens=800.0, temperature=2700.0).asset
     assert asset_lumens(warm) == pytest.approx(800, rel=1e-3)
     colour = asset_watts(warm)
     expected = np.array(blackbody_colour(2700.0))

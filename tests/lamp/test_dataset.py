@@ -23,7 +23,7 @@ def manifest():
         fingerprint="0" * 64,
         split="train",
         resolution=16,
-        samples_per_pixel=4,
+        spp=4,
         path_depth=128,
         half_width=1.5,
         local_frame=LocalFrame((1.0, 0.5, 1e-3), np.diag([2, 2, 2, 1])),

@@ -122,7 +122,9 @@ def images(folder, *sources):
     (folder / "room.xml").write_text(ROOM)
     return [
         lumitree.render(
-            folder / "room.xml", [lumitree.Placement(source, at=(0, 0.2, 0))], samples_per_pixel=16
+            folder / "room.xml",
+            [lumitree.Placement(source, at=(0, 0.2, 0))],
+            spp=16,
         ).pixels
         for source in sources
     ]
@@ -138,7 +140,7 @@ def assert_similar(first, second):
     ("kind", "parts"), [("xml", ("light", "geometry")), slow("obj", ("field",))]
 )
 def test_a_far_lamp_renders_as_the_near_one(mi, lamps, tmp_path, monkeypatch, kind, parts):
-    tiny_bakes.set_qualities(monkeypatch.setitem, tree_depth=4, l_max=0)
+    tiny_bakes.set_qualities(monkeypatch.setattr, tree_depth=4, l_max=0)
     near, far = (
         lumitree.bake(
             lamp,

@@ -38,7 +38,7 @@ def lamp(mi, tmp_path):
 def capture(source, folder, **settings):
     from lumitree.trace.cameras import capture as capture_views
 
-    settings = {"num_views": 2, "resolution": 24, "samples_per_pixel": 16, **settings}
+    settings = {"views": 2, "resolution": 24, "spp": 16, **settings}
     return list(capture_views(load_luminaire(source), folder, **settings).views())
 
 
@@ -56,7 +56,7 @@ def test_lumens_come_out_of_a_captured_lamp(mi, tmp_path):
     )
     (tmp_path / "lamp.toml").write_text(text)
     luminaire = load_luminaire(tmp_path / "lamp.obj")
-    views = capture(tmp_path / "lamp.obj", tmp_path / "d", num_views=24, resolution=64)
+    views = capture(tmp_path / "lamp.obj", tmp_path / "d", views=24, resolution=64)
     scale = luminaire.frame.world_from_local[0, 0]
     area = (2 * luminaire.bounding_radius * scale) ** 2
     luminance = [683 * view.radiance @ [0.2126, 0.7152, 0.0722] for view in views]

@@ -25,7 +25,7 @@ FLOORS = {
 
 @pytest.fixture
 def bake(mi, monkeypatch):
-    tiny_bakes.set_qualities(monkeypatch.setitem, tree_depth=6, l_max=2)
+    tiny_bakes.set_qualities(monkeypatch.setattr, tree_depth=6, l_max=2)
     return lambda name: lumitree.bake(name, config=standard(parts=["field"]), progress=None).asset
 
 
@@ -49,9 +49,7 @@ def test_no_built_in_lamp_falls_below_its_floor(bake, name):
     assert set(FLOORS) == set(lumitree.builtin_luminaires())
     asset = bake(name)
     linear, mu_law, ratio, rms = FLOORS[name]
-    report = lumitree.evaluate(
-        asset, name, num_views=3, resolution=64, samples_per_pixel=128, progress=None
-    )
+    report = lumitree.evaluate(asset, name, views=3, resolution=64, spp=128, progress=None)
     metrics = report.metrics
     for face in report.irradiance["faces"].values():
         assert face["ratio"] == pytest.approx(1, abs=ratio)

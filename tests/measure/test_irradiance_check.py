@@ -8,8 +8,8 @@ from lumitree.asset.asset import light_field_asset
 from lumitree.core.results import Stopwatch
 from lumitree.errors import LumitreeWarning
 from lumitree.fit.light_field.bake import bake_light_field
-from lumitree.measure.irradiance_check import measure_irradiance
-from lumitree.trace.light_field_config import LightFieldFitConfig
+from lumitree.measure.irradiance import measure_irradiance
+from lumitree.trace.light_field_config import LightFieldConfig
 from support.lamps import AREA, cube, lamp_of
 
 PATHS = 1 << 16
@@ -19,7 +19,7 @@ DISK = f'<shape type="disk" id="disk">{AREA}</shape>'
 def _measured(folder, depth, resolution, *shapes):
     """`irradiance` of a lamp, whose light field has bins of this number a side."""
     lamp = lamp_of(folder, *shapes)
-    config = LightFieldFitConfig(paths=PATHS, batch=PATHS, depth=depth, resolution=resolution)
+    config = LightFieldConfig(paths=PATHS, batch=PATHS, depth=depth, resolution=resolution)
     field = bake_light_field(lamp, config, folder)
     return measure_irradiance(
         light_field_asset(field, lamp.frame, "lamp"), lamp, PATHS, Stopwatch()

@@ -38,7 +38,7 @@ GEOMETRY = '<shape type="lumitree_proxy"><string name="filename" value="lamp.lum
 @pytest.fixture(autouse=True)
 def folder(mi, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    tiny_bakes.set_qualities(monkeypatch.setitem, tree_depth=4, **FEW)
+    tiny_bakes.set_qualities(monkeypatch.setattr, tree_depth=4, **FEW)
     (tmp_path / "lamp.xml").write_text(LAMP)
     (tmp_path / "haze.xml").write_text(HAZE)
     return tmp_path
@@ -57,7 +57,7 @@ def test_a_scene_file_names_a_lamp_with_geometry_beside_a_textured_emitter(mi, t
         '<texture type="bitmap" name="radiance"><string name="filename" value="white.exr"/>'
         "</texture></emitter></shape></scene>"
     )
-    image = lumitree.render(path, samples_per_pixel=4, progress=None)
+    image = lumitree.render(path, spp=4, progress=None)
     assert np.isfinite(image.pixels).all()
     assert image.pixels.max() > 0
 

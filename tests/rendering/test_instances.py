@@ -40,9 +40,7 @@ def test_lamps_are_placed_in_a_room_with_instances(mi, tmp_path):
         tmp_path / "instanced.xml", GROUP.format(BOX.format("")), *map(repeated, PLACES)
     )
     plain = save(tmp_path / "plain.xml", *(BOX.format(place(x)) for x in PLACES))
-    found, expected = (
-        lumitree.render(each, lamps, samples_per_pixel=256) for each in (instanced, plain)
-    )
+    found, expected = (lumitree.render(each, lamps, spp=256) for each in (instanced, plain))
     assert expected.pixels.mean() > 0
     assert found.pixels.mean(axis=(0, 1)) == pytest.approx(
         expected.pixels.mean(axis=(0, 1)), rel=0.02
@@ -60,7 +58,7 @@ def test_an_explicit_lamp_with_instances_is_placed_and_previewed(mi, tmp_path):
     )
     room = save(tmp_path / "room.xml")
     found = lumitree.render(
-        room, [lumitree.Placement(str(tmp_path / "lamp.xml"), at=(0, 0, 0))], samples_per_pixel=16
+        room, [lumitree.Placement(str(tmp_path / "lamp.xml"), at=(0, 0, 0))], spp=16
     )
     assert found.pixels.mean() > 0
-    assert lumitree.preview(tmp_path / "lamp.xml", resolution=16, samples_per_pixel=4).png
+    assert lumitree.preview(tmp_path / "lamp.xml", resolution=16, spp=4).png

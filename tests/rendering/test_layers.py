@@ -60,8 +60,8 @@ FOG = """<sensor type="perspective"><medium type="homogeneous" name="medium">
 def test_layers_add_up_to_the_image(room, lamps, tmp_path, sensor):
     room.write_text(room.read_text().replace('<sensor type="perspective">', sensor))
     path = tmp_path / "layers.exr"
-    plain = render(room, lamps, samples_per_pixel=64)
-    result = render(room, lamps, samples_per_pixel=64, layers=True)
+    plain = render(room, lamps, spp=64)
+    result = render(room, lamps, spp=64, layers=True)
     result.save_layers(path)
     layers = read_exr(path)
     assert all(np.array_equal(layers[name], light) for name, light in result.layers.items())
@@ -75,13 +75,11 @@ def test_layers_add_up_to_the_image(room, lamps, tmp_path, sensor):
 @pytest.mark.slow
 def test_a_layer_has_the_light_of_its_lamp_only(room, lamps):
     """Against images with one lamp each; the second lamp has twice the gain of the first."""
-    both, none = (
-        render(room, each, samples_per_pixel=2048, layers=True).layers for each in (lamps, [])
-    )
+    both, none = (render(room, each, spp=2048, layers=True).layers for each in (lamps, []))
     # On the right of the image no lamp is in front of the room's light.
     assert both["room"][:, 20:].mean() == pytest.approx(none["room"][:, 20:].mean(), rel=0.03)
     dark = [lumitree.Placement(lamps[0].source, at=lamps[0].at, size=1.0, gain=0.0), lamps[1]]
-    layers = render(room, dark, samples_per_pixel=64, layers=True).layers
+    layers = render(room, dark, spp=64, layers=True).layers
     assert not layers["lamp"].any()
     assert layers["room_2"].mean() > 0.01
 
@@ -95,7 +93,7 @@ def test_layers_of_geometries(mi, room, tmp_path):
         lumitree.Placement(path, at=(-1.2, 0, 1), size=1.5, label="on"),
         lumitree.Placement(path, at=(0.8, 0, 1), size=1.5, gain=0, label="off"),
     ]
-    result = render(room, lamps, samples_per_pixel=256, layers=True)
+    result = render(room, lamps, spp=256, layers=True)
     layers = result.layers
     assert sum(layers.values()) == pytest.approx(result.pixels, abs=1e-3)
     assert not layers["off"].any()
@@ -106,7 +104,7 @@ def test_layers_of_geometries(mi, room, tmp_path):
 @pytest.mark.slow
 def test_mix_changes_the_light_of_one_layer(room, lamps, tmp_path):
     path = tmp_path / "layers.exr"
-    result = render(room, lamps, samples_per_pixel=16, layers=True)
+    result = render(room, lamps, spp=16, layers=True)
     result.save_layers(path)
     layers = result.layers
     assert np.array_equal(lumitree.mix(layers).pixels, lumitree.mix(path).pixels)
@@ -120,11 +118,11 @@ def test_mix_changes_the_light_of_one_layer(room, lamps, tmp_path):
     with pytest.raises(LumitreeError, match="the image is not made of layers alone"):
         lumitree.mix(layers | {"odd": layers["room"][1:]})
     with pytest.raises(LumitreeError, match=r"no layer 'hall'; it has lamp, room, room_2"):
-        lumitree.mix(path, gains={"hall": 2})
+        lumitree.mix(path, gain={"hall": 2})
     with pytest.raises(LumitreeError, match="gain"):
-        lumitree.mix(path, gains={"lamp": -1})
+        lumitree.mix(path, gain={"lamp": -1})
     image = tmp_path / "image.exr"
-    dark = render(room, samples_per_pixel=1)
+    dark = render(room, spp=1)
     dark.save(image)
     with pytest.raises(LumitreeError, match="no layers; render it with layers=True"):
         dark.save_layers(path)
@@ -134,7 +132,7 @@ def test_mix_changes_the_light_of_one_layer(room, lamps, tmp_path):
         result.save_layers("a.png")
     with pytest.raises(LumitreeError, match="is not made of layers alone; expected"):
         lumitree.mix(image)
-    render(room, samples_per_pixel=1, aov=True).save_aov(image)
+    render(room, spp=1, aov=True).save_aov(image)
     with pytest.raises(LumitreeError, match="is not made of layers alone; expected"):
         lumitree.mix(image)
 
@@ -146,7 +144,7 @@ def test_layers_have_no_names_of_other_channels(room, lamps, tmp_path):
         lumitree.Placement(lamps[0].source, at=(x, 0, 0), size=0.5, label=label)
         for x, label in ((-1, "RGB"), (0, "RGBA"), (1, "RGB"))
     ]
-    result = render(room, named, samples_per_pixel=4, layers=True)
+    result = render(room, named, spp=4, layers=True)
     assert list(result.layers) == ["room", "RGB_2", "RGBA_2", "RGB_3"]
     result.save_layers(path)
     assert lumitree.mix(path).pixels == pytest.approx(result.pixels, abs=1e-5)
@@ -154,7 +152,7 @@ def test_layers_have_no_names_of_other_channels(room, lamps, tmp_path):
 
 def test_buffers_describe_the_surfaces(mi, room, tmp_path):
     """Against Mitsuba's integrator `aov`, where a single surface covers the pixel."""
-    result = render(room, samples_per_pixel=64, aov=True)
+    result = render(room, spp=64, aov=True)
     result.save_aov(tmp_path / "aov.exr")
     found = read_exr(tmp_path / "aov.exr")
     scene = mi.load_file(str(room))
@@ -189,7 +187,7 @@ def test_noise_is_the_deviation_between_seeds(mi, room):
     weights = 1 / np.maximum(level, np.median(level))
     measured = (weights * error).sum() / (weights * level).sum()
     assert np.mean([image.noise for image in images]) == pytest.approx(measured, rel=0.1)
-    assert all(image.samples_per_pixel == 32 for image in images)
+    assert all(image.spp == 32 for image in images)
 
 
 @pytest.mark.parametrize("broken", [None, np.nan, np.inf])
@@ -224,12 +222,12 @@ def halves(size):
 
 
 def test_a_render_stops_at_the_first_limit(room):
-    assert render(room).samples_per_pixel == 64
+    assert render(room).spp == 64
     found = render(room, noise=0.05)
     assert found.noise <= 0.05
-    assert 8 <= found.samples_per_pixel < 1 << 14
-    assert render(room, noise=1e-4, samples_per_pixel=20).samples_per_pixel == 20
-    assert 1 <= render(room, time=1e-3).samples_per_pixel <= 16
+    assert 8 <= found.spp < 1 << 14
+    assert render(room, noise=1e-4, spp=20).spp == 20
+    assert 1 <= render(room, time=1e-3).spp <= 16
 
 
 def test_a_pass_that_would_end_too_late_is_not_begun(mi, room, monkeypatch):
@@ -242,7 +240,7 @@ def test_a_pass_that_would_end_too_late_is_not_begun(mi, room, monkeypatch):
     monkeypatch.setattr(passes.time, "perf_counter", lambda: float(next(ticks)))
     # The clock is read before the first pass, and before and after each.
     image = passes.render_passes(scene, integrator, passes.Budget(seconds=6.5))
-    assert image.samples_per_pixel == 3 * 16
+    assert image.spp == 3 * 16
     assert image.seconds == 6
 
 
@@ -266,9 +264,9 @@ def test_the_filter_becomes_a_box(mi, tmp_path, film):
 def test_denoising_reduces_the_error_and_leaves_what_is_seen(mi, room, lamps):
     pytest.importorskip("mitsuba_oidn", reason="the optional dependency denoise is not installed")
     room.write_text(ROOM.format('<rfilter type="box"/>'))
-    reference = render(room, lamps, samples_per_pixel=512, width=96)
-    noisy = render(room, lamps, samples_per_pixel=4, width=96)
-    clean = render(room, lamps, samples_per_pixel=4, width=96, denoise=True)
+    reference = render(room, lamps, spp=512, width=96)
+    noisy = render(room, lamps, spp=4, width=96)
+    clean = render(room, lamps, spp=4, width=96, denoise=True)
     errors = [np.abs(each.pixels - reference.pixels).mean() for each in (noisy, clean)]
     assert errors[1] < 0.8 * errors[0]
     assert clean.pixels.mean() == pytest.approx(reference.pixels.mean(), rel=0.05)
@@ -329,10 +327,10 @@ def test_mixtures_beyond_single_precision_are_refused(mi, gain):
 @pytest.mark.parametrize("pixel_format", ["rgba", "luminance", slow("xyz"), slow("xyza")])
 def test_films_of_other_formats_are_read_as_rgb(room, pixel_format):
     """Their further channels are those of the layers."""
-    expected = render(room, samples_per_pixel=1, layers=True, aov=True)
+    expected = render(room, spp=1, layers=True, aov=True)
     film = f'<string name="pixel_format" value="{pixel_format}"/>'
     room.write_text(ROOM.format(film))
-    found = render(room, samples_per_pixel=1, layers=True, aov=True)
+    found = render(room, spp=1, layers=True, aov=True)
     assert found.pixels == pytest.approx(expected.pixels, abs=1e-5)
     assert found.albedo == pytest.approx(expected.albedo, abs=1e-5)
     assert found.layers.keys() == expected.layers.keys()
@@ -348,17 +346,17 @@ def test_films_that_are_created_already(mi):
         path = {"type": "path"}
         scene = {"type": "scene", "light": light, "sensor": sensor, "integrator": path}
         if pixel_format == "rgba":
-            found = lumitree.render(scene, samples_per_pixel=1, aov=True)
+            found = lumitree.render(scene, spp=1, aov=True)
             assert found.pixels == pytest.approx(np.broadcast_to([3, 2, 1], (4, 4, 3)))
             assert found.albedo.shape == (4, 4, 3)
             continue
         with pytest.raises(LumitreeError, match="does not store R, G and B"):
-            lumitree.render(scene, samples_per_pixel=1)
+            lumitree.render(scene, spp=1)
 
 
 def test_long_labels_are_cut_to_what_a_file_holds(room, lamps, tmp_path):
     """Names of channels have 255 bytes at most; beyond them three channels would be one."""
     long = [dataclasses.replace(each, label="ä" * 200) for each in lamps]
-    render(room, long, samples_per_pixel=1, layers=True).save_layers(tmp_path / "layers.exr")
+    render(room, long, spp=1, layers=True).save_layers(tmp_path / "layers.exr")
     layers = read_exr(tmp_path / "layers.exr")
     assert sorted(layers) == ["room", "ä" * 100, "ä" * 100 + "_2"]

@@ -31,7 +31,7 @@ def room(mi):
 
 def render(scene, **options):
     lamp = lumitree.Placement(random_asset(3), at=(0, 0, 0), size=1.5, label="lamp")
-    return lumitree.render(scene, [lamp], samples_per_pixel=8, progress=None, **options)
+    return lumitree.render(scene, [lamp], spp=8, progress=None, **options)
 
 
 def assert_similar(first, second):
@@ -66,13 +66,13 @@ def test_images_of_no_pixels_and_huge_ones_are_refused(mi, room, film, size, bui
     room["sensor"]["film"].update(film)
     scene = mi.load_dict(room | {"integrator": tracer(mi)}) if built else room
     with pytest.raises(LumitreeError, match=f"image of {size} pixels; expected 1 to 16,384 a side"):
-        lumitree.render(scene, samples_per_pixel=1, progress=None)
+        lumitree.render(scene, spp=1, progress=None)
 
 
 def test_a_width_may_not_make_an_image_huge(room):
     room["sensor"]["film"].update(width=1, height=1000)
     with pytest.raises(LumitreeError, match="image of 100 x 100,000 pixels"):
-        lumitree.render(room, samples_per_pixel=1, width=100, progress=None)
+        lumitree.render(room, spp=1, width=100, progress=None)
 
 
 def test_scenes_of_another_variant_are_told():
@@ -152,17 +152,17 @@ def test_two_parts_of_a_file_stand_where_the_file_has_them(mi, room, tmp_path):
     )
     parts = [lumitree.load_luminaire(path, keep=(name,)) for name in ("left", "right")]
     lamps = [lumitree.Placement(part) for part in parts]
-    image = lumitree.render(room, lamps, samples_per_pixel=4, progress=None)
+    image = lumitree.render(room, lamps, spp=4, progress=None)
     # Emitters of a radiance of 3 that are seen.
     assert min(image.pixels[:, :12].max(), image.pixels[:, 12:].max()) > 1
     with pytest.raises(LumitreeError, match="two is placed twice in the same place"):
-        lumitree.render(room, [lamps[0], lumitree.Placement(parts[0])], samples_per_pixel=4)
+        lumitree.render(room, [lamps[0], lumitree.Placement(parts[0])], spp=4)
 
 
 def test_lumens_are_those_of_the_scene_in_its_unit(mi, room):
     lamp = lumitree.Placement(random_asset(3), at=(0, 0, 0), size=1.5, lumens=800)
     images = [
-        lumitree.render(room, [lamp], samples_per_pixel=8, unit=unit, progress=None).pixels
+        lumitree.render(room, [lamp], spp=8, unit=unit, progress=None).pixels
         for unit in ("m", "cm", 0.01)
     ]
     assert images[0].max() > 0
@@ -189,7 +189,7 @@ def test_placements_are_a_list(room, placements):
 
 def test_a_room_without_light_is_told(room):
     with pytest.warns(LumitreeWarning, match="the scene has no light, and its image is black"):
-        assert not lumitree.render(room, samples_per_pixel=1, progress=None).pixels.any()
+        assert not lumitree.render(room, spp=1, progress=None).pixels.any()
 
 
 def test_the_path_integrator_of_a_scene_is_replaced_with_a_warning(mi, room):
@@ -214,14 +214,14 @@ def test_the_image_so_far_is_shown_while_it_is_rendered(mi, room, monkeypatch):
     monkeypatch.setattr(passes, "_SAMPLES_PER_PASS", dict.fromkeys(passes._SAMPLES_PER_PASS, 768))
     images = []
     final = render(room, so_far=images.append)
-    assert [image.samples_per_pixel for image in images] == [2]
-    assert final.samples_per_pixel == 8
+    assert [image.spp for image in images] == [2]
+    assert final.spp == 8
     assert images[0].png != final.png
     monkeypatch.setattr(passes, "_SECONDS_BETWEEN_IMAGES", 0.0)
     monkeypatch.setattr(passes, "_MOST_TIME_OF_IMAGES", 1.0)
     images.clear()
     again = render(room, so_far=images.append, denoise=False, aov=True)
-    assert [image.samples_per_pixel for image in images] == [2, 4, 6]
+    assert [image.spp for image in images] == [2, 4, 6]
     assert_similar(again.pixels, final.pixels)
     assert images[0].albedo is None
 

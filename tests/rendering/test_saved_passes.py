@@ -56,7 +56,7 @@ def rendered(monkeypatch):
 def render(samples=SAMPLES, room="room.xml", source="lamp.lumitree", **options):
     lamp = lumitree.Placement(source, at=(0, 0, 0), size=1.5)
     options = {"work": "work", "layers": True, "progress": None, **options}
-    return lumitree.render(room, [lamp], samples_per_pixel=samples, **options)
+    return lumitree.render(room, [lamp], spp=samples, **options)
 
 
 def interrupted(rendered, after, **options):
@@ -87,7 +87,7 @@ def test_an_interrupted_image_continues(rendered):
     interrupted(rendered, 4)
     again = render()
     assert seeds == expected[4:]
-    assert again.samples_per_pixel == SAMPLES
+    assert again.spp == SAMPLES
     assert again.noise == pytest.approx(whole.noise, rel=1e-3)
     for name, layer in whole.layers.items():
         np.testing.assert_allclose(again.layers[name], layer, rtol=1e-4, atol=1e-6)
@@ -135,7 +135,7 @@ def test_time_that_was_spent_counts(rendered):
     state = Path("work/passes.npz")
     arrays = dict(np.load(state))
     np.savez(state, **arrays | {"seconds": np.array(1e5 + 1)})
-    assert render(**options).samples_per_pixel == arrays["samples"]
+    assert render(**options).spp == arrays["samples"]
     assert rendered[0] == []
 
 
@@ -185,7 +185,7 @@ def test_what_is_no_state_of_this_image_is_not_continued(rendered, saved_state, 
         np.savez(state, **arrays | {"squares": arrays["squares"][:1]})
     with pytest.warns(LumitreeWarning, match=f"not continued: .*{message}.*starts again"):
         found = render(**options)
-    assert len(rendered[0]) == found.samples_per_pixel // 2 == options.get("samples", SAMPLES) // 2
+    assert len(rendered[0]) == found.spp // 2 == options.get("samples", SAMPLES) // 2
 
 
 def test_images_of_a_short_time_leave_nothing(rendered, monkeypatch):
@@ -215,8 +215,8 @@ def test_the_command_removes_what_it_kept(rendered, capsys):
 
 def test_arrays_and_numpy_numbers_place_lamps():
     lamp = lumitree.Placement("lamp.lumitree", at=np.zeros(3), size=np.float32(1.5))
-    first = lumitree.render("room.xml", [lamp], samples_per_pixel=2, work="work", progress=None)
-    again = lumitree.render("room.xml", [lamp], samples_per_pixel=2, work="work", progress=None)
+    first = lumitree.render("room.xml", [lamp], spp=2, work="work", progress=None)
+    again = lumitree.render("room.xml", [lamp], spp=2, work="work", progress=None)
     np.testing.assert_array_equal(first.pixels, again.pixels)
 
 

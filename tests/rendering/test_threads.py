@@ -37,7 +37,7 @@ def test_two_threads_render_two_scenes_at_once(mi):
     def image(number):
         lamp = lumitree.Placement(random_asset(number), at=(0, 0, 0), size=1.5)
         scene = room(mi, [0.3 + 0.4 * number, 0.5, 0.2])
-        return lumitree.render(scene, [lamp], samples_per_pixel=4, progress=None).pixels
+        return lumitree.render(scene, [lamp], spp=4, progress=None).pixels
 
     def images(number):
         start.wait()

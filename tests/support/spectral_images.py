@@ -75,7 +75,7 @@ def write_lamps(folder, baked):
     pattern = '<texture type="bitmap" name="radiance"><string name="filename" value="pattern.png"/>'
     emitter = f'<emitter type="area">{pattern}</texture></emitter>'
     (folder / "textured.xml").write_text(scene(f'<shape type="rectangle">{emitter}</shape>'))
-    config = lumitree.BakeConfig(irradiance_paths=0, light_field=LIGHT_FIELD)
+    config = lumitree.BakeConfig(irradiance_paths=0, light=LIGHT_FIELD)
     for name in baked:
         lumitree.bake(folder / f"{name}.xml", folder / f"{name}.lumitree", config)
 
@@ -92,7 +92,7 @@ def mean_colours(folder, variant, samples, lamps):
         path = folder / f"{name}.lumitree"
         lamp = path if path.exists() else folder / f"{name}.xml"
         placement = lumitree.Placement(lamp, at=(0, 0, 0), size=1.0)
-        image = lumitree.render(room(mi), [placement], samples_per_pixel=samples, progress=None)
+        image = lumitree.render(room(mi), [placement], spp=samples, progress=None)
         found[name] = image.pixels.reshape(2, -1, 3).mean(axis=1, dtype=np.float64).tolist()
     return found
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from lumitree.core.frames import LocalFrame, orthographic_rays, view_pose
-from lumitree.fit.network.config import PRESETS
+from lumitree.fit.network.config import TrainConfig
 from lumitree.lamp.dataset import Dataset, Frame, Manifest, View
 
 RADIUS = 0.6
@@ -16,7 +16,7 @@ HALF_WIDTH = 1.5
 
 # A network that trains in seconds, by the paper's law.
 TINY = dataclasses.replace(
-    PRESETS["preview"],
+    TrainConfig.preview(),
     law="linear",
     num_layers=2,
     width=16,
@@ -30,11 +30,11 @@ TINY = dataclasses.replace(
 
 
 def sphere_dataset(
-    folder: Path, num_views: int = 12, resolution: int = 32, brightness: float = 4.0
+    folder: Path, views: int = 12, resolution: int = 32, brightness: float = 4.0
 ) -> Dataset:
     """Radiance grows with height on the sphere, from 0.2 to 1 of `brightness`, red to blue."""
     folder.mkdir(parents=True, exist_ok=True)
-    indices = range(1, num_views + 1)
+    indices = range(1, views + 1)
     frames = tuple(
         Frame(f"view_{i:06d}.exr", i, tuple(map(tuple, view_pose(i, 2.0).tolist())))
         for i in indices
@@ -44,7 +44,7 @@ def sphere_dataset(
         fingerprint=f"sphere-{brightness}",
         split="train",
         resolution=resolution,
-        samples_per_pixel=1,
+        spp=1,
         path_depth=1,
         half_width=HALF_WIDTH,
         local_frame=LocalFrame(HALF_EXTENTS, np.eye(4)),

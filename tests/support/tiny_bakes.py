@@ -5,8 +5,8 @@ import sys
 
 from lumitree.asset.asset import PARTS
 from lumitree.cli import main
-from lumitree.fit.config import NETWORK_BAKES, QUALITIES, BakeConfig, NetworkConfig
-from lumitree.fit.network.config import PRESETS
+from lumitree.fit.config import BakeConfig, NetworkConfig
+from lumitree.fit.network.config import TrainConfig
 from lumitree.fit.octree.config import (
     CalibrationConfig,
     EstimateConfig,
@@ -17,12 +17,11 @@ from lumitree.fit.octree.config import (
     RefineConfig,
     SplitConfig,
 )
-from lumitree.trace.light_field_config import LightFieldConfig, LightFieldFitConfig
+from lumitree.trace.light_field_config import LightFieldConfig
 
 # Budget of rays of an octree fit, and rays of its first estimate.
 RAYS, ESTIMATE_RAYS = 1 << 19, 1 << 20
 LIGHT_FIELD = LightFieldConfig(paths=1 << 18, batch=1 << 18, depth=3, resolution=32)
-LIGHT_FIELD = LightFieldFitConfig(paths=1 << 18, batch=1 << 18, depth=3, resolution=32)
 IRRADIANCE_PATHS = 1 << 14
 
 
@@ -41,61 +40,62 @@ def bake_config(**options):
     """Settings of a bake of all parts in seconds, about four million rays and paths in all.
 
     Args:
-        options: other settings; those of a group of the octree fit, as `refine`, are a dictionary
-            of some of them.
+        options: other settings of the bake, and those of the octree fit, as for `octree_config`.
     """
-    groups = {
-        name: dataclasses.replace(getattr(GROUPS, name), **options.pop(name))
-        for name in [each for each in options if isinstance(options[each], dict)]
-    }
-    few = {"parts": PARTS, "tree_depth": 5, "l_max": 1, "time": None, "rays": RAYS, **options}
-    octree = dataclasses.replace(GROUPS, **groups)
-    return BakeConfig(
-        irradiance_paths=IRRADIANCE_PATHS, light_field=LIGHT_FIELD, octree=octree, **few
-    )
+    of_octree = {each.name for each in dataclasses.fields(OctreeConfig)} & set(options)
+    octree = octree_config(**{name: options.pop(name) for name in of_octree})
+    few = {"parts": PARTS, "irradiance_paths": IRRADIANCE_PATHS, "light": LIGHT_FIELD, **options}
+    return BakeConfig(octree=octree, network=NETWORK, **few)
 
 
-def octree_fit(**options):
-    """The octree fit of `bake_config`."""
-    return bake_config(**options).octree_fit
+def octree_config(**options):
+    """The octree fit of `bake_config`.
+
+    Args:
+        options: other settings; those of a group, as `refine`, are a dictionary of some of them.
+    """
+    settings = {
+        name: dataclasses.replace(getattr(GROUPS, name), **value)
+        if isinstance(value, dict) else value
+        for name, value in options.items()
+    }  # fmt: skip
+    few = {"tree_depth": 5, "l_max": 1, "time": None, "rays": RAYS, **settings}
+    return dataclasses.replace(GROUPS, **few)
 
 
 def standard(**options):
     """The quality "standard", or what `set_qualities` has put in its place, with other settings."""
-    return dataclasses.replace(BakeConfig.standard(), **options)
+    return dataclasses.replace(BakeConfig.of("standard"), **options)
 
 
-def network_config():
-    """Settings of a bake by a small network from few views."""
-    train = dataclasses.replace(
-        PRESETS["preview"], width=32, output_width=16, num_coarse=16, num_fine=16,
+NETWORK = NetworkConfig(
+    views=16,
+    resolution=48,
+    spp=32,
+    tree_depth=5,
+    samples_per_leaf=256,
+    train=dataclasses.replace(
+        TrainConfig.preview(), width=32, output_width=16, num_coarse=16, num_fine=16,
         rays_per_batch=512, num_steps=250,
-    )  # fmt: skip
-    return NetworkConfig(
-        num_views=16,
-        resolution=48,
-        samples_per_pixel=32,
-        tree_depth=5,
-        samples_per_leaf=256,
-        irradiance_paths=IRRADIANCE_PATHS,
-        light_field=LIGHT_FIELD,
-        train=train,
-    )
+    ),
+)  # fmt: skip
 
 
-def set_qualities(set_item, **options):
+def set_qualities(set_attribute, **options):
     """Make all qualities those of bakes of seconds, for commands and functions with defaults.
 
     Args:
-        set_item: as `dict.__setitem__`, or the `setitem` of pytest's monkeypatch.
+        set_attribute: as `setattr`, or the `setattr` of pytest's monkeypatch.
         options: as for `bake_config`.
     """
-    for name in QUALITIES:
-        set_item(QUALITIES, name, bake_config(**options))
+
+    def of(quality=None, method="octree"):
+        few = bake_config(**options)
+        return few if method == "octree" else dataclasses.replace(few, method=method, parts=None)
+
+    set_attribute(BakeConfig, "of", staticmethod(of))
 
 
 if __name__ == "__main__":
-    set_qualities(dict.__setitem__)
-    NETWORK_BAKES["preview"] = network_config()
-    PRESETS["preview"] = NETWORK_BAKES["preview"].train
+    set_qualities(setattr)
     sys.exit(main())

@@ -80,7 +80,7 @@ def test_light_paths_and_camera_paths_agree_behind_an_alpha_mask(mi, tmp_path):
 def test_flux_of_captured_views_agrees(lamp, tmp_path):
     from lumitree.trace.cameras import capture
 
-    dataset = capture(lamp, tmp_path / "d", num_views=4, resolution=64, samples_per_pixel=64)
+    dataset = capture(lamp, tmp_path / "d", views=4, resolution=64, spp=64)
     side = 2 * lamp.bounding_radius * lamp.frame.world_from_local[0, 0]
     mean = np.mean([view.radiance.mean(axis=(0, 1)) for view in dataset.views()], axis=0)
     assert 4 * np.pi * side**2 * mean == pytest.approx(KNOWN, rel=0.01)

@@ -27,7 +27,7 @@ def luminaire(mi, tmp_path):
 def take(luminaire, folder, **settings):
     from lumitree.trace.cameras import capture
 
-    settings = {"num_views": 2, "resolution": 32, "samples_per_pixel": 16, **settings}
+    settings = {"views": 2, "resolution": 32, "spp": 16, **settings}
     return list(capture(luminaire, folder, **settings).views())
 
 
@@ -137,14 +137,14 @@ def test_glass_ball_that_bends_light_is_opaque(luminaire, mi):
 
 def test_resumes_view_by_view(luminaire, tmp_path):
     lamp = luminaire(SPHERE.format(AREA))
-    first = take(lamp, tmp_path / "d", num_views=3)
+    first = take(lamp, tmp_path / "d", views=3)
     path = tmp_path / "d" / "view_000002.exr"
     before = {p: p.stat().st_mtime_ns for p in path.parent.iterdir()}
     content = path.read_bytes()
     path.unlink()
     with pytest.raises(LumitreeError, match="1 of 3 views are missing"):
         list(Dataset.open(tmp_path / "d").views())
-    second = take(lamp, tmp_path / "d", num_views=3)
+    second = take(lamp, tmp_path / "d", views=3)
     assert path.read_bytes() == content
     assert all(p.stat().st_mtime_ns == t for p, t in before.items() if p != path)
     assert np.array_equal(first[1].radiance, second[1].radiance)
@@ -156,7 +156,7 @@ def test_another_capture_in_the_way_is_refused(luminaire, tmp_path):
     with pytest.raises(LumitreeError, match="other settings or of another luminaire"):
         take(lamp, tmp_path / "d", resolution=16)
     with pytest.raises(LumitreeError, match="spp is 0"):
-        take(lamp, tmp_path / "e", samples_per_pixel=0)
+        take(lamp, tmp_path / "e", spp=0)
 
 
 def test_test_views_are_not_train_views(luminaire, tmp_path):
@@ -174,7 +174,7 @@ def test_rays_of_the_camera_are_those_of_the_dataset(luminaire, tmp_path):
     spot = SPHERE.replace('"2"', '"0.05"').replace("5,1,0", "0.9,0.5,-0.3")
     box = '<shape type="cube"><bsdf type="null"/></shape>'
     lamp = luminaire(spot.format(AREA) + box)
-    for view in take(lamp, tmp_path / "d", num_views=5, resolution=64):
+    for view in take(lamp, tmp_path / "d", views=5, resolution=64):
         origins, direction = orthographic_rays(view.frame.pose, lamp.bounding_radius, 64)
         to_spot = np.array([0.9, 0.5, -0.3]) - origins
         distance = np.linalg.norm(np.cross(to_spot, direction), axis=-1)

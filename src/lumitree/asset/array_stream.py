@@ -66,7 +66,7 @@ def inflated(content: bytes, size: int, what: str) -> bytes:
         raise LumitreeError(f"{what} has {size} bytes (limit {MAX_BYTES})")
     decompressor = zlib.decompressobj()
     try:
-        # No more than is expected, whatever the stream holds.
+        # No more than is expected, however much the stream has.
         found = decompressor.decompress(content, size + 1)
     except zlib.error as error:
         raise LumitreeError(f"{what} cannot be decompressed: {error}") from None

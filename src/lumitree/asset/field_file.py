@@ -115,7 +115,7 @@ def densities(codes: NDArray[np.uint16]) -> NDArray[np.float32]:
 def coefficient_codes(coefficients: NDArray[np.float16], steps: Steps = STEPS) -> NDArray[np.int16]:
     """Codes [M, K, 3] of coefficients [M, 3, K], as multiples of steps: R - G, G and B - G."""
     values = coefficients.transpose(0, 2, 1).astype(np.float32)
-    # In differences to G there is room for twice as much.
+    # Differences to G may be twice as large.
     largest = _LARGEST_CODE // 2 * steps.constant
     values[:, :1] = np.clip(values[:, :1], -largest, largest)
     # Differences before rounding: grey leaves have only 0.

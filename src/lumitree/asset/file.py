@@ -103,7 +103,7 @@ def save(asset: Asset, path: str | os.PathLike[str], *, fingerprint: str = "") -
     metadata = {"lumitree": f"{_digest(text, tensors)} {text}"}
     with atomic_path(path) as temporary:
         arrays = {name: np.ascontiguousarray(array) for name, array in tensors.items()}
-        # Not by `save_file`: it writes a temporary file of its own, which a killed process leaves.
+        # Not by `save_file`: its temporary file stays if the process is killed.
         temporary.write_bytes(safetensors.numpy.save(arrays, metadata))
 
 

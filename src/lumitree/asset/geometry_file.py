@@ -175,14 +175,14 @@ def _read_parameter(what: str, value: object) -> Parameter:
 
 
 def _read_medium(record: Record, side: str, of: str) -> Medium:
-    """A medium: its absorption alone, or an object if it scatters light."""
+    """A medium: its absorption, or an object if it scatters light."""
     if not record.is_object(side):
         return Medium(_rgb(record, side))
     medium = record.record(side)
     medium.expect_keys(*_MEDIUM_KEYS)
     absorption, scattering = (_rgb(medium, key) for key in _MEDIUM_KEYS[:2])
     if not any(scattering):
-        raise LumitreeError(f"the {side} of a {of} scatters nothing; expected its absorption alone")
+        raise LumitreeError(f"the {side} of a {of} scatters nothing; expected its absorption only")
     return Medium(absorption, scattering, medium.number("anisotropy"))
 
 

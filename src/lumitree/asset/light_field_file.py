@@ -23,7 +23,7 @@ _COUNTS = ("cells", "bins", "divided")
 _INSIDE_COUNTS = ("cells", "entries", "divided", "distances", "reach_curves")
 # Before the names of arrays of the light inside.
 _INSIDE = "inside."
-# Which light a bin has: bent alone, straight alone, or both.
+# Which light a bin has: bent, straight, or both.
 _BENT, _STRAIGHT, _BOTH = 0, 1, 2
 
 
@@ -32,9 +32,9 @@ def light_field_tensors(field: LightField) -> dict[str, NDArray[Any]]:
     outer, inner = _layouts(_counts(field), field.resolution)
     arrays = vars(field) | _stored_parts(field)
     if (inside := field.inside) is not None:
-        own = vars(inside) | _stored_parts(inside)
-        own["bent_reach"] = inside.bent_reach - inside.reach
-        arrays |= {_INSIDE + name: each for name, each in own.items()}
+        stored = vars(inside) | _stored_parts(inside)
+        stored["bent_reach"] = inside.bent_reach - inside.reach
+        arrays |= {_INSIDE + name: each for name, each in stored.items()}
     return {"light.stream": compressed(arrays, outer + inner)}
 
 
@@ -55,20 +55,21 @@ def build_light_field(description: Record, tensors: dict[str, NDArray[Any]]) -> 
     """The field of a file; the inverse of `light_field_tensors` and `light_field_description`."""
     description.expect_keys(*_KEYS, *_COUNTS, optional=("traced", "inside", "absolute"))
     resolution = description.integer("resolution")
-    own, inside_counts = None, {}
+    described, inside_counts = None, {}
     if description.has("inside"):
-        own = description.record("inside")
-        own.expect_keys(*_INSIDE_COUNTS, "scale")
-        inside_counts = _read_counts(own, _INSIDE_COUNTS)
+        described = description.record("inside")
+        described.expect_keys(*_INSIDE_COUNTS, "scale")
+        inside_counts = _read_counts(described, _INSIDE_COUNTS)
     outer, inner = _layouts((_read_counts(description, _COUNTS), inside_counts), resolution)
     arrays = decompressed(tensors["light.stream"], outer + inner, "the light field")
     inside_arrays = {each.name.removeprefix(_INSIDE): arrays.pop(each.name) for each in inner}
     _restore_bent(arrays)
-    if own is not None:
+    inside = None
+    if described is not None:
         _restore_bent(inside_arrays)
         inside_arrays["bent_reach"] += inside_arrays["reach"]
+        inside = LightInside(**inside_arrays, scale=described.number("scale"))
     traced = _build_traced(description.record("traced")) if description.has("traced") else None
-    inside = LightInside(**inside_arrays, scale=own.number("scale")) if own is not None else None
     return LightField(
         **arrays,
         depth=description.integer("depth"),

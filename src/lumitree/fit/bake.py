@@ -1,82 +1,113 @@
-"""The octree fit: `bake` and `bake_views` make an asset from rays, and `refine` improves one."""
+"""`bake` makes an asset of a source of any kind, and `refine` improves the field of one."""
 
 import dataclasses
 import warnings
 from collections.abc import Collection
 from concurrent.futures import Executor
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from lumitree.asset.asset import Asset, Part, light_field_asset
 from lumitree.asset.geometry import AssetGeometry
-from lumitree.core.arguments import check_asset_output, check_light
+from lumitree.core.arguments import check_asset_output
 from lumitree.core.backend import in_turn, load_rgb
 from lumitree.core.executor import check_executor
 from lumitree.core.files import FilePath, WorkFolder
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
+from lumitree.core.progress import progress as steps
 from lumitree.core.results import Stopwatch
+from lumitree.core.seeds import check_seed
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
-from lumitree.fit.config import BakeConfig
-from lumitree.fit.finishing import finish_bake, remove_state
+from lumitree.fit.bake_network import bake_network
+from lumitree.fit.config import BakeConfig, Method, Quality, chosen_config
+from lumitree.fit.finishing import finish_bake, open_work_folder, remove_state, save_asset
 from lumitree.fit.light_field.saved_field import LIGHT_FIELD_STATE
-from lumitree.fit.octree.config import OctreeFitConfig
 from lumitree.fit.result import BakeResult
-from lumitree.fit.work import open_work_folder
 from lumitree.lamp.dataset import Dataset
 from lumitree.lamp.diagnosis import warn_of_faults
-from lumitree.lamp.source import dataset_folder, source_kind
-from lumitree.measure.irradiance_check import check_irradiance_paths
+from lumitree.lamp.source import Kind, as_source, dataset_folder, refuse_options, source_kind
+from lumitree.measure.irradiance import check_irradiance_paths
 from lumitree.rendering.asset_cache import open_asset
 
 if TYPE_CHECKING:
     from lumitree.fit.octree.bake import OctreeFitResult
     from lumitree.lamp.luminaire import LampWorkers, Luminaire, LuminaireLike
 
-# Sources that `bake` does not take, and the functions for them.
-_OTHERS = {
-    "photometric": ("a photometric file", "bake_photometric"),
-    "dataset": ("the folder of a dataset", "bake_views"),
-}
+_KINDS: dict[Kind, str] = {"photometric": "a photometric file", "dataset": "a dataset"}
 
 
 @in_turn
 def bake(
-    luminaire: "LuminaireLike",
+    source: "LuminaireLike",
     output: FilePath | None = None,
     config: BakeConfig | None = None,
     *,
+    quality: Quality | None = None,
+    method: Method | None = None,
+    parts: Collection[Part] | None = None,
+    time: float | None = None,
+    rays: int | None = None,
+    lumens: float | None = None,
+    temperature: float | None = None,
+    seed: int | None = None,
     work: FilePath | None = None,
     variant: str | None = None,
     executor: Executor | None = None,
     progress: ProgressCallback | None = show_progress,
 ) -> BakeResult:
-    """Bake a luminaire into an asset.
+    """Bake a luminaire, the views of a dataset or a photometric file into an asset.
 
-    Light paths are traced. Their histogram by place and direction is the light field: what the
-    luminaire sends to its surroundings. The geometry of the luminaire is stored beside it, and
-    images show it. Where it cannot be stored, or if `config.parts` has "field", rays and light
-    paths are traced for the radiance field too. A first estimate is made from them, and gradient
-    descent improves it until the budget is spent. The field is stored in a sparse octree.
+    Light paths are traced through a luminaire. Their histogram by place and direction is the light
+    field, which illuminates scenes. The geometry of the luminaire is stored beside it, and images
+    show it. Where it cannot be stored, or if `parts` has "field", rays and light paths are traced
+    for the radiance field too. A first estimate is made from them, and gradient descent improves it
+    until the budget is spent. The field is stored in a sparse octree. The views of a dataset give a
+    radiance field alone, and a photometric file gives a light field alone.
 
     The state of the bake is kept in a work folder. If SIGINT (Ctrl-C), SIGTERM or SIGHUP
     interrupts the bake, the best asset so far is written and returned. Before there is one, as
-    within the light field, `KeyboardInterrupt` is raised. If `output` or `work` is given, the same
-    call continues the bake later.
+    within the light field or a network, `KeyboardInterrupt` is raised. If `output` or `work` is
+    given, the same call continues the bake later.
 
     Args:
-        luminaire: what to bake. One of: the name of a built-in luminaire; the path of a Mitsuba 3
+        source: what to bake. One of: the name of a built-in luminaire; the path of a Mitsuba 3
             scene (`.xml`) or of a model (`.obj`, `.gltf`, `.glb`); a dictionary as for
-            `mitsuba.load_dict`; a `mitsuba.Scene`; a `LuminaireSource`; or a `Luminaire` that
-            `load_luminaire` returned. `bake_views` bakes the folder of a dataset, and
-            `bake_photometric` a photometric file.
+            `mitsuba.load_dict`; a `mitsuba.Scene`; a `LuminaireSource`; a `Luminaire` that
+            `load_luminaire` returned; the folder of a dataset, made by `capture`; or the path of an
+            IES or EULUMDAT file (`.ies`, `.ldt`), a GLDF file (`.gldf`, with # and the name of a
+            variant for another than the first), luminaire data of IES TM-33 (`.tm33`, `.xml`), or
+            an IES TM-25 ray file (`.ray`, `.tm25ray`).
         output: path of the `.lumitree` file to write. Default: no file is written.
-        config: settings of the bake. Default: `BakeConfig.standard()`.
-        work: folder for the state: empty, new, or that of an earlier call. It is kept. Default:
+        config: settings of the bake. Default: the settings of `quality` and `method`.
+        quality: "preview", "standard" or "high": 1, 2 or 16 million light paths, 5 to 30 s on 2 CPU
+            cores; and, if one is made, a radiance field of depth 7 in 1 minute, of depth 8 in 5
+            minutes, or of depth 10 in 30 minutes. With the method "network", "preview": minutes on
+            2 CPU cores; or "paper": hours on a GPU. Default: "standard"; "preview" with "network".
+        method: how a radiance field is made: "octree", from traced rays; or "network", as in the
+            paper, which needs the extra `network` of lumitree. Default: "octree".
+        parts: what the asset gets, of "light", which illuminates scenes; "geometry", the luminaire
+            itself, which images show, in seconds, not with the method "network"; and "field", a
+            radiance field, which images show in place of geometry, in minutes. Default: "light" and
+            "geometry"; "light" and "field" where the geometry cannot be stored, or with the method
+            "network".
+        time: budget of the radiance field in seconds, 0.001 to 31,536,000 (one year). The first
+            estimate, about 20 s on 2 CPU cores, is always completed. Default: by the quality, or no
+            limit if `rays` is given.
+        rays: budget of rays for the gradient descent of the radiance field, 1 to 2⁵⁰. If `time` is
+            given too, the bake ends at whichever is reached first. Default: no limit.
+        lumens: luminous flux of the asset, lm, if lengths are in metres; 10⁻⁶ to 10⁹. Default: the
+            flux of the source.
+        temperature: colour temperature of the whole flux, K, 1000 to 20,000; all colours get the
+            same factors. Default: the colours of the source.
+        seed: root seed of all random numbers, 0 to 2³¹ - 1. With a budget of rays alone, equal
+            seeds and settings give equal files on one machine. Default: 0.
+        work: folder for the state: empty, new, or of an earlier call. It is kept. Default:
             `output` with the suffix `.work`, or a temporary folder; it is removed at the end.
         variant: Mitsuba variant: "llvm_ad_rgb"; "cuda_ad_rgb" on an NVIDIA GPU, which is little
             tested; or "metal_ad_rgb" on Apple silicon, which is untested. Default: the variant that
             is set; if none is set, "llvm_ad_rgb".
-        executor: whose workers trace the light paths of the light field; each loads the luminaire.
-            The asset is the same. All other work is done by this process, and by default this too.
+        executor: whose workers trace the light paths of the light field, and with the method
+            "network" render the views; each loads the luminaire. The asset is the same. All other
+            work is done by this process, and by default this too.
         progress: function that is called with a `Progress` after each step. Default: a progress
             bar, or lines on standard error if that is not a terminal. None shows nothing.
 
@@ -86,31 +117,106 @@ def bake(
         rays (`rays`). `stopped_by` is the number of the signal that interrupted the bake, or None.
 
     Raises:
-        LumitreeError: the luminaire cannot be read or emits no light; the work folder holds the
-            state of another bake; no usable variant of Mitsuba is available; a file cannot be
-            written; a worker is lost; or the luminaire cannot be sent to the workers of
-            `executor`, such as a `mitsuba.Scene` or a `Luminaire`.
+        LumitreeError: the source cannot be read or emits no light; an argument is out of range, or
+            does not apply to the source; the work folder holds the state of another bake; no usable
+            variant of Mitsuba is available; a file cannot be written; a worker is lost; or the
+            luminaire cannot be sent to the workers of `executor`, such as a `mitsuba.Scene` or a
+            `Luminaire`.
 
     Example:
-        >>> result = lumitree.bake("bulbs", "bulbs.lumitree", lumitree.BakeConfig.preview())
-        >>> result.asset.info.leaves, result.held_out_psnr
+        >>> result = lumitree.bake("lamp.glb", "lamp.lumitree", quality="high")
+        >>> result.asset.info.leaves, result.irradiance
     """
-    config = BakeConfig.standard() if config is None else config
+    fit: dict[str, Any] = {"time": time, "rays": rays}
+    light: dict[str, Any] = {"lumens": lumens, "temperature": temperature}
+    chosen: dict[str, Any] = {"quality": quality, "method": method}
+    config = chosen_config(config, **chosen, **fit, parts=parts, seed=seed, **light)
     if output is not None:
         check_asset_output(output)
-    _check_kind(luminaire)
     check_executor(executor)
+    kind = source_kind(source)
+    workers = {"executor": executor}
+    if kind == "photometric":
+        _check_parts(config, source, kind, "light")
+        _refuse(fit | workers | chosen | {"seed": seed}, source, kind)
+    elif kind == "dataset":
+        _check_parts(config, source, kind, "field")
+        _refuse(workers | {"method": method}, source, kind)
+    elif config.method == "network":
+        _refuse_given(fit, "of the method octree; leave it out")
+    else:
+        if "field" not in (config.parts or ()):
+            _refuse_given(fit, "for the radiance field, which is not made; add the part field")
+        if "light" not in (config.parts or ("light",)):
+            _refuse_given(workers, "for the part light, which is not made; leave it out")
     load_rgb(variant)
-    from lumitree.lamp.luminaire import lamp_workers, load_luminaire
+    if kind == "photometric":
+        with reporting(progress):
+            return _bake_photometric(source, output, config)
+    with open_work_folder(output, work) as folder:
+        if kind == "dataset":
+            with reporting(progress):
+                return _bake_views(source, output, config, folder, work)
+        if config.method == "network":
+            return bake_network(source, output, config, folder, work, variant, executor, progress)
+        from lumitree.lamp.luminaire import lamp_workers, load_luminaire
 
-    with reporting(progress), open_work_folder(output, work) as folder:
-        lamp = load_luminaire(luminaire)
-        workers = lamp_workers(executor, luminaire, lamp)
-        warn_of_faults(lamp)
-        return _bake(lamp, output, config, folder, work, workers)
+        with reporting(progress):
+            lamp = load_luminaire(source)
+            sent = lamp_workers(executor, source, lamp)
+            warn_of_faults(lamp)
+            return _bake_lamp(lamp, output, config, folder, work, sent)
 
 
-def _bake(
+def _given(arguments: dict[str, Any]) -> str:
+    return ", ".join(name for name, value in arguments.items() if value is not None)
+
+
+def _refuse_given(arguments: dict[str, Any], reason: str) -> None:
+    if names := _given(arguments):
+        raise LumitreeError(f"{names}: {reason}")
+
+
+def _refuse(arguments: dict[str, Any], source: object, kind: Kind) -> None:
+    _refuse_given(arguments, f"not for {_KINDS[kind]} such as {shown(source, 300)}; leave it out")
+
+
+def _check_parts(config: BakeConfig, source: object, kind: Kind, part: Part) -> None:
+    if config.parts not in (None, (part,)):
+        raise LumitreeError(
+            f"parts are {', '.join(config.parts or ())}, but {shown(source, 300)} is "
+            f"{_KINDS[kind]}, from which only the part {part} can be made; leave the others out"
+        )
+
+
+def _bake_photometric(source: Any, output: FilePath | None, config: BakeConfig) -> BakeResult:
+    from lumitree.formats.photometric_file import bake_file
+    from lumitree.rendering.asset_flux import with_light
+
+    described, watch = as_source(source), Stopwatch()
+    refuse_options(described, "a photometric file")
+    with steps(f"light of {shown(described.name)}", 1) as advance, watch.stage("light"):
+        asset = bake_file(described.name, config.light)
+        asset = with_light(asset, config.lumens, config.temperature)
+        advance(1)
+    return BakeResult(asset=asset, path=save_asset(asset, output), **watch.costs())
+
+
+def _bake_views(
+    source: Any, output: FilePath | None, config: BakeConfig, folder: WorkFolder, work: Any
+) -> BakeResult:
+    from lumitree.fit.octree.bake import bake_stored
+    from lumitree.rendering.asset_flux import with_light
+
+    views, watch = dataset_folder(source), Stopwatch()
+    assert views is not None
+    with watch.stage("bake"):
+        fit = bake_stored(Dataset.open(views), config.octree, folder.path, config.seed)
+    asset = with_light(fit.asset, config.lumens, config.temperature)
+    return _finish_fit(fit, asset, output, watch, folder, work)
+
+
+def _bake_lamp(
     lamp: "Luminaire",
     output: FilePath | None,
     config: BakeConfig,
@@ -127,7 +233,7 @@ def _bake(
     light_field = None
     if "light" in parts:
         with watch.stage("light"):
-            light_field = bake_light_field(lamp, config.light_field_fit, folder.path, workers)
+            light_field = bake_light_field(lamp, config.light, folder.path, workers, config.seed)
         # Before the field: refuses a colour that the light of the luminaire cannot have.
         lit = dataclasses.replace(
             light_field_asset(light_field, lamp.frame, lamp.name), geometry=geometry
@@ -138,19 +244,10 @@ def _bake(
             remove_state(folder, work, result, [LIGHT_FIELD_STATE])
             return result
     with watch.stage("bake"):
-        fit = octree_fit.bake(lamp, config.octree_fit, folder.path)
+        fit = octree_fit.bake(lamp, config.octree, folder.path, config.seed)
     asset = dataclasses.replace(fit.asset, light_field=light_field, geometry=geometry)
     asset = with_light(asset, config.lumens, config.temperature)
     return _finish_fit(fit, asset, output, watch, folder, work, lamp, config.irradiance_paths)
-
-
-def _check_kind(source: object) -> None:
-    """Refuse what other functions bake."""
-    other = _OTHERS.get(source_kind(source))
-    if other is not None:
-        what, function = other
-        name = shown(source, 300)
-        raise LumitreeError(f"{name} is {what}, not a luminaire; bake it by lumitree.{function}")
 
 
 def _parts_and_geometry(
@@ -176,60 +273,6 @@ def _parts_and_geometry(
 
 
 @in_turn
-def bake_views(
-    dataset: FilePath,
-    output: FilePath | None = None,
-    config: OctreeFitConfig | None = None,
-    *,
-    lumens: float | None = None,
-    temperature: float | None = None,
-    work: FilePath | None = None,
-    variant: str | None = None,
-    progress: ProgressCallback | None = show_progress,
-) -> BakeResult:
-    """Bake the views of a dataset into an asset that has a radiance field only.
-
-    Views have no light paths, from which a light field could be made or the irradiance be
-    compared. An interrupted call continues as that of `bake`.
-
-    Args:
-        dataset: folder of the dataset, made by `capture`.
-        output: path of the `.lumitree` file to write. Default: no file is written.
-        config: settings of the octree fit. Default: `BakeConfig.standard().octree_fit`.
-        lumens: luminous flux of the asset, lm; see `BakeConfig`.
-        temperature: colour temperature of the asset, K; see `BakeConfig`.
-        work: folder for the state; see `bake`.
-        variant: Mitsuba variant; see `bake`.
-        progress: function that is called with a `Progress` after each step; see `bake`.
-
-    Returns:
-        The asset and its figures, as `bake` returns them.
-
-    Raises:
-        LumitreeError: the dataset cannot be read, or its views are black, too few or have nothing
-            in common; or as for `bake`.
-    """
-    config = BakeConfig.standard().octree_fit if config is None else config
-    check_light(lumens, temperature)
-    if output is not None:
-        check_asset_output(output)
-    folder = dataset_folder(dataset)
-    if folder is None:
-        raise LumitreeError(f"{shown(dataset, 300)} is not the folder of a dataset; see capture")
-    load_rgb(variant)
-    from lumitree.fit.octree import bake as octree_fit
-    from lumitree.rendering.asset_flux import with_light
-
-    with reporting(progress), open_work_folder(output, work) as at:
-        views = Dataset.open(folder)
-        watch = Stopwatch()
-        with watch.stage("bake"):
-            fit = octree_fit.bake_stored(views, config, at.path)
-        asset = with_light(fit.asset, lumens, temperature)
-        return _finish_fit(fit, asset, output, watch, at, work)
-
-
-@in_turn
 def refine(
     asset: Asset | FilePath,
     luminaire: "LuminaireLike",
@@ -245,14 +288,13 @@ def refine(
 ) -> BakeResult:
     """Improve an asset by gradient descent with rays traced through its luminaire.
 
-    The asset may come from `bake`, `bake_network` or `extract`. As with `bake`, an interrupted call
+    The asset may come from `bake` or `extract`. As with `bake`, an interrupted call
     returns the best asset so far, and the same call continues it.
 
     Args:
         asset: an asset, or the path of its `.lumitree` file. The result has the same tree depth,
             l_max and transmittance law.
-        luminaire: the luminaire that the asset was baked from, in any form that `bake` takes
-            except the folder of a dataset.
+        luminaire: the luminaire that the asset was baked from, in any form that `bake` takes.
         output: path of the `.lumitree` file to write. Default: no file is written.
         time: budget in seconds, 0.001 to 31,536,000 (one year). Default: 285 s, or no limit if
             `rays` is given.
@@ -272,12 +314,13 @@ def refine(
     """
     if output is not None:
         check_asset_output(output)
-    standard = BakeConfig.standard()
-    if time is None and rays is None:
-        time, rays = standard.time, standard.rays
-    fit_config = dataclasses.replace(standard.octree_fit, time=time, rays=rays, seed=seed)
+    config = BakeConfig.of()
+    octree = config.octree
+    if time is not None or rays is not None:
+        octree = dataclasses.replace(octree, time=time, rays=rays)
+    check_seed(seed)
     if irradiance_paths is None:
-        irradiance_paths = standard.irradiance_paths
+        irradiance_paths = config.irradiance_paths
     check_irradiance_paths(irradiance_paths)
     load_rgb(variant)
     from lumitree.fit.octree import bake as octree_fit
@@ -292,7 +335,7 @@ def refine(
         lamp = load_luminaire(luminaire)
         watch = Stopwatch()
         with watch.stage("bake"):
-            fit = octree_fit.refine(rough, lamp, fit_config, at.path)
+            fit = octree_fit.refine(rough, lamp, octree, at.path, seed)
         better = dataclasses.replace(
             fit.asset,
             light_field=rough.light_field,

@@ -1,10 +1,10 @@
-"""The bake by the paper's network: `bake_network`, and its steps `capture`, `train`, `extract`."""
+"""The method of the paper: `capture`, `train` and `extract`, and `bake` by these three."""
 
 import dataclasses
 import warnings
 from concurrent.futures import Executor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from lumitree.asset.asset import Asset
 from lumitree.core.arguments import (
@@ -16,112 +16,85 @@ from lumitree.core.arguments import (
 )
 from lumitree.core.backend import check_network, in_turn, load_rgb
 from lumitree.core.executor import check_executor
-from lumitree.core.files import FilePath, WriteError, check_writable, scratch_folder
+from lumitree.core.files import (
+    FilePath,
+    WorkFolder,
+    WriteError,
+    check_writable,
+    scratch_folder,
+)
 from lumitree.core.interruption import Interrupted
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.results import Stopwatch, peak_memory_bytes
 from lumitree.core.seeds import check_seed
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
-from lumitree.fit.config import BakeConfig, NetworkConfig, NetworkPreset, light_field_fit
+from lumitree.fit.config import BakeConfig
 from lumitree.fit.finishing import finish_bake, remove_state
 from lumitree.fit.light_field.saved_field import LIGHT_FIELD_STATE
-from lumitree.fit.network.config import PRESETS, TrainConfig
+from lumitree.fit.network.config import TrainConfig
 from lumitree.fit.result import BakeResult, CaptureResult, TrainResult
-from lumitree.fit.work import open_work_folder
 from lumitree.lamp.dataset import DATASET_FILES, MANIFEST, MAX_VIEWS, Split
 from lumitree.lamp.diagnosis import warn_of_faults
-from lumitree.measure.irradiance_check import check_irradiance_paths
 from lumitree.octree.build import check_tree_depth
-from lumitree.trace.light_field_config import LightFieldFitConfig
 
 if TYPE_CHECKING:
     from lumitree.asset.light_field import LightField
     from lumitree.lamp.luminaire import LampWorkers, Luminaire, LuminaireLike
 
 
-@in_turn
 def bake_network(
-    luminaire: "LuminaireLike",
-    output: FilePath,
-    config: NetworkConfig | None = None,
-    *,
-    work: FilePath | None = None,
-    variant: str | None = None,
-    executor: Executor | None = None,
-    progress: ProgressCallback | None = show_progress,
+    source: "LuminaireLike",
+    output: FilePath | None,
+    config: BakeConfig,
+    folder: WorkFolder,
+    work: FilePath | None,
+    variant: str | None,
+    executor: Executor | None,
+    progress: ProgressCallback | None,
 ) -> BakeResult:
-    """Bake a luminaire with the method of the paper: `capture`, `train` and `extract` in one call.
-
-    The light field is made first, from light paths, as `bake` makes it. If the call is
-    interrupted, the same call continues it.
-
-    Args:
-        luminaire: what to bake, in any form that `bake` takes.
-        output: path of the `.lumitree` file to write.
-        config: settings of the bake. Default: `NetworkConfig.preview()`.
-        work: folder for the dataset and the run; see `bake`.
-        variant: Mitsuba variant; see `bake`.
-        executor: whose workers trace the light paths and render the views; see `bake`.
-        progress: function that is called with a `Progress` after each step; see `bake`.
-
-    Returns:
-        The asset (`asset`), its file (`path`), and the error of the irradiance around it
-        (`irradiance`). `stopped_by` is the number of a signal that arrived once the asset was
-        complete, or None.
+    """`bake` by the method "network"; continues an interrupted bake whose state is in `folder`.
 
     Raises:
-        LumitreeError: the luminaire cannot be read; the work folder holds the state of another
-            bake; a file cannot be written; the extra `network` of lumitree is not installed; or as
-            for the `executor` of `bake`.
-        Interrupted: SIGINT, SIGTERM or SIGHUP was received before the asset was complete. The work
-            folder is kept.
+        Interrupted: a signal was received before the asset was complete.
     """
-    config = NetworkConfig.preview() if config is None else config
-    check_asset_output(output)
     check_network()
-    check_executor(executor)
-    load_rgb(variant)
+    from lumitree.fit.network.train import RUN_FILES, has_checkpoint
     from lumitree.lamp.luminaire import lamp_workers, load_luminaire
 
-    watch, light_field = Stopwatch(), None
-    with open_work_folder(output, work) as folder:
-        with reporting(progress):
-            lamp = load_luminaire(luminaire)
-            workers = lamp_workers(executor, luminaire, lamp)
-            if "light" in config.parts:
-                light_field = _bake_light_field(
-                    lamp, config.light_field_fit, folder.path, watch, workers
-                )
-        captured = capture(
-            lamp if executor is None else luminaire,
-            folder.path / "dataset",
-            num_views=config.num_views,
-            resolution=config.resolution,
-            samples_per_pixel=config.samples_per_pixel,
-            variant=variant,
-            executor=executor,
-            progress=progress,
+    watch, light_field, network = Stopwatch(), None, config.network
+    with reporting(progress):
+        lamp = load_luminaire(source)
+        workers = lamp_workers(executor, source, lamp)
+        if config.parts is None or "light" in config.parts:
+            light_field = _bake_light_field(lamp, config, folder.path, watch, workers)
+    captured = capture(
+        lamp if executor is None else source,
+        folder.path / "dataset",
+        views=network.views,
+        resolution=network.resolution,
+        spp=network.spp,
+        variant=variant,
+        executor=executor,
+        progress=progress,
+    )
+    run = folder.path / "run"
+    resume = has_checkpoint(run)
+    trained = _train(captured.dataset, run, network.train, config.seed, resume, progress)
+    if trained.stopped_by is not None:
+        raise Interrupted("the same command continues", trained.stopped_by)
+    with reporting(progress):
+        extracted = _extract(
+            run,
+            output,
+            network.tree_depth,
+            network.samples_per_leaf,
+            light_field,
+            lamp,
+            config,
         )
-        from lumitree.fit.network.train import RUN_FILES, has_checkpoint
-
-        run = folder.path / "run"
-        training = dataclasses.replace(config.train, seed=config.seed)
-        trained = _train(captured.dataset, run, training, has_checkpoint(run), progress)
-        if trained.stopped_by is not None:
-            raise Interrupted("the same command continues", trained.stopped_by)
-        with reporting(progress):
-            extracted = _extract(
-                run,
-                output,
-                config.tree_depth,
-                config.samples_per_leaf,
-                light_field,
-                lamp,
-                config.irradiance_paths,
-            )
-        names = [f"dataset/{name}" for name in DATASET_FILES]
-        names += [*(f"run/{name}" for name in RUN_FILES), LIGHT_FIELD_STATE]
-        remove_state(folder, work, extracted, names)
+    names = [f"dataset/{name}" for name in DATASET_FILES]
+    names += [*(f"run/{name}" for name in RUN_FILES), LIGHT_FIELD_STATE]
+    remove_state(folder, work, extracted, names)
     seconds = watch.seconds | captured.seconds | trained.seconds | extracted.seconds
     return dataclasses.replace(extracted, seconds=seconds, peak_memory_bytes=peak_memory_bytes())
 
@@ -131,9 +104,9 @@ def capture(
     luminaire: "LuminaireLike",
     output: FilePath,
     *,
-    num_views: int = 100,
+    views: int = 100,
     resolution: int = 256,
-    samples_per_pixel: int = 128,
+    spp: int = 128,
     split: Split = "train",
     variant: str | None = None,
     executor: Executor | None = None,
@@ -145,11 +118,11 @@ def capture(
     that are missing in the folder are rendered, so the same call continues an interrupted capture.
 
     Args:
-        luminaire: what to render, in any form that `bake` takes except the folder of a dataset.
+        luminaire: what to render, in any form that `bake` takes.
         output: folder of the dataset: new, empty, or that of the same capture.
-        num_views: number of views, 1 to 100,000.
+        views: number of views, 1 to 100,000.
         resolution: pixels per side of a view, 1 to 16,384.
-        samples_per_pixel: paths per pixel, 1 to 1,048,576.
+        spp: paths per pixel, 1 to 1,048,576.
         split: "train" or "test". The two have no direction in common.
         variant: Mitsuba variant; see `bake`.
         executor: whose workers render the views; each loads the luminaire. The views are those of
@@ -164,8 +137,8 @@ def capture(
             holds another capture; or as for the `executor` of `bake`.
         Interrupted: SIGINT, SIGTERM or SIGHUP was received. Finished views are kept.
     """
-    check_count("views", num_views, 1, MAX_VIEWS)
-    check_image_settings(resolution=resolution, spp=samples_per_pixel)
+    check_count("views", views, 1, MAX_VIEWS)
+    check_image_settings(resolution=resolution, spp=spp)
     check_choice("split", split, get_args(Split))
     check_writable(Path(output) / MANIFEST)
     check_executor(executor)
@@ -182,9 +155,9 @@ def capture(
             dataset = capture_views(
                 lamp,
                 output,
-                num_views=num_views,
+                views=views,
                 resolution=resolution,
-                samples_per_pixel=samples_per_pixel,
+                spp=spp,
                 split=split,
                 workers=workers,
             )
@@ -205,7 +178,7 @@ def train(
     dataset: FilePath,
     output: FilePath,
     *,
-    preset: NetworkPreset = "preview",
+    quality: Literal["preview", "paper"] = "preview",
     seed: int = 0,
     resume: bool = False,
     progress: ProgressCallback | None = show_progress,
@@ -215,8 +188,8 @@ def train(
     Args:
         dataset: folder of the dataset, made by `capture`.
         output: folder of the run, for checkpoints and the history of the loss.
-        preset: settings of the network: "preview" (minutes on 2 CPU cores) or "paper" (days on a
-            GPU).
+        quality: settings of the network: "preview", minutes on 2 CPU cores; or "paper", days on a
+            GPU.
         seed: seed of the initial weights, the batches and the jitter, 0 to 2³¹ - 1. With `resume`
             it must be that of the run.
         resume: continue from the newest checkpoint in `output`. The result equals, bit for bit,
@@ -224,26 +197,27 @@ def train(
         progress: function that is called with a `Progress` after each step; see `bake`.
 
     Returns:
-        The folder (`run`), the number of steps, the PSNR on held-out rays in dB (`psnr`), and that
-        of an all-black prediction (`psnr_black`). `stopped_by` is the number of the signal that
-        interrupted the training, or None.
+        The folder (`run`), the number of steps, and the PSNR on held-out rays in dB of the network
+        (`psnr`) and of an all-black prediction (`psnr_black`). `stopped_by` is the number of the
+        signal that interrupted the training, or None.
 
     Raises:
         LumitreeError: an argument is out of range; the dataset cannot be read; `output` holds
             another run; there is nothing to resume; or the extra `network` of lumitree is not
             installed.
     """
-    check_choice("preset", preset, PRESETS)
-    config = dataclasses.replace(PRESETS[preset], seed=seed)
+    config = BakeConfig.of(quality, "network").network.train
+    check_seed(seed)
     check_writable(Path(output) / MANIFEST)
     check_network()
-    return _train(dataset, output, config, resume, progress)
+    return _train(dataset, output, config, seed, resume, progress)
 
 
 def _train(
     dataset: FilePath,
     output: FilePath,
     config: TrainConfig,
+    seed: int,
     resume: bool,
     progress: ProgressCallback | None,
 ) -> TrainResult:
@@ -252,7 +226,7 @@ def _train(
 
     watch = Stopwatch()
     with reporting(progress), watch.stage("train"):
-        result = train_network(dataset, output, config, resume=resume)
+        result = train_network(dataset, output, config, seed, resume=resume)
     return TrainResult(
         run=Path(output),
         steps=result.steps,
@@ -289,9 +263,8 @@ def extract(
         tree_depth: level of the leaves, 1 to 10. Their side is the longest side of the bounding box
             divided by 2^tree_depth.
         samples_per_leaf: positions per leaf, 1 to 1,048,576.
-        luminaire: the luminaire that the views are of, in any form that `bake` takes except the
-            folder of a dataset. If it is given, the asset gets the light field too, and
-            the irradiance around it is compared with that around the luminaire.
+        luminaire: the captured luminaire, in any form that `bake` takes. If it is given, the asset
+            gets the light field too, and the irradiance around both is compared.
         irradiance_paths: see `bake`. Default: 2¹⁹.
         seed: root seed of the light field, 0 to 2³¹ - 1.
         variant: Mitsuba variant; see `bake`.
@@ -310,15 +283,13 @@ def extract(
         check_asset_output(output)
     check_tree_depth(tree_depth)
     check_count("samples a leaf", samples_per_leaf, 1, MAX_SAMPLES)
-    standard = BakeConfig.standard()
-    if irradiance_paths is None:
-        irradiance_paths = standard.irradiance_paths
-    check_irradiance_paths(irradiance_paths)
-    check_seed(seed)
+    config = dataclasses.replace(BakeConfig.of(), seed=seed)
+    if irradiance_paths is not None:
+        config = dataclasses.replace(config, irradiance_paths=irradiance_paths)
     check_network()
     if luminaire is None:
         with reporting(progress):
-            return _extract(run, output, tree_depth, samples_per_leaf)
+            return _extract(run, output, tree_depth, samples_per_leaf, None, None, config)
     load_rgb(variant)
     from lumitree.fit.network.trained_field import load_field
     from lumitree.lamp.luminaire import load_luminaire
@@ -332,11 +303,8 @@ def extract(
                 f"{run} one of {_sides(frame.size)}, or another place; give the luminaire that was "
                 "captured"
             )
-        config = light_field_fit(standard.light_field, seed)
         light_field = _bake_light_field(lamp, config, folder, watch)
-        result = _extract(
-            run, output, tree_depth, samples_per_leaf, light_field, lamp, irradiance_paths
-        )
+        result = _extract(run, output, tree_depth, samples_per_leaf, light_field, lamp, config)
     return dataclasses.replace(result, seconds=watch.seconds | result.seconds)
 
 
@@ -346,7 +314,7 @@ def _sides(size: Any) -> str:
 
 def _bake_light_field(
     lamp: "Luminaire",
-    config: LightFieldFitConfig,
+    config: BakeConfig,
     folder: Path,
     watch: Stopwatch,
     workers: "LampWorkers | None" = None,
@@ -354,7 +322,7 @@ def _bake_light_field(
     from lumitree.fit.light_field.bake import bake_light_field
 
     with watch.stage("light"):
-        return bake_light_field(lamp, config, folder, workers)
+        return bake_light_field(lamp, config.light, folder, workers, config.seed)
 
 
 def _extract(
@@ -362,13 +330,14 @@ def _extract(
     output: FilePath | None,
     tree_depth: int,
     samples_per_leaf: int,
-    light_field: "LightField | None" = None,
-    lamp: "Luminaire | None" = None,
-    irradiance_paths: int = 0,
+    light_field: "LightField | None",
+    lamp: "Luminaire | None",
+    config: BakeConfig,
 ) -> BakeResult:
     """As `extract`, with a light field; compares the irradiance with a lamp's."""
     from lumitree.fit.network.trained_field import load_field
     from lumitree.octree.extract import extract as extract_octree
+    from lumitree.rendering.asset_flux import with_light
 
     watch = Stopwatch()
     with watch.stage("extract"):
@@ -400,4 +369,5 @@ def _extract(
             luminaire=field.luminaire,
             light_field=light_field,
         )
-    return finish_bake(asset, output, watch, lamp, irradiance_paths)
+    asset = with_light(asset, config.lumens, config.temperature)
+    return finish_bake(asset, output, watch, lamp, config.irradiance_paths)

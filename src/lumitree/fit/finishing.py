@@ -1,20 +1,63 @@
-"""The end of every bake: the asset is written, and the irradiance around it is measured."""
+"""Folder of the state of a bake, and the end of every bake: writes and measures the asset."""
 
+import contextlib
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lumitree.asset.asset import Asset
-from lumitree.asset.file import as_stored
-from lumitree.core.files import FilePath, WorkFolder
+from lumitree.asset.file import as_stored, save
+from lumitree.core.files import FilePath, WorkFolder, WriteError, scratch_folder
 from lumitree.core.interruption import deferred_interrupt, interruptible, interruption_behind
 from lumitree.core.results import Stopwatch
+from lumitree.errors import LumitreeError, shown
+from lumitree.fit.field_light import with_field_light
 from lumitree.fit.result import BakeResult
-from lumitree.fit.work import save_asset
-from lumitree.measure.irradiance_check import measure_irradiance
+from lumitree.measure.irradiance import measure_irradiance
 
 if TYPE_CHECKING:
     from lumitree.lamp.luminaire import Luminaire
+
+
+def save_asset(asset: Asset, output: FilePath | None) -> Path | None:
+    """Write an asset to `output`; returns its path. Does nothing and returns None for None."""
+    if output is None:
+        return None
+    save(asset, output)
+    return Path(output)
+
+
+def work_folder_of(output: FilePath | None) -> Path:
+    """The folder in which the bake of an asset keeps its state, if none was chosen."""
+    return Path(str(output)).with_suffix(".work")
+
+
+@contextlib.contextmanager
+def open_work_folder(output: FilePath | None, work: FilePath | None) -> Iterator[WorkFolder]:
+    """Context with the folder in which a bake keeps its state: `work` if it is given.
+
+    Else it has the name of `output` with the suffix `.work`, or is a temporary one without output.
+
+    Raises:
+        LumitreeError: the folder cannot be used; and for a `WriteError` that the block raises if
+            the folder then holds state, which it says.
+    """
+    temporary = work is None and output is None
+    with contextlib.ExitStack() as stack:
+        if temporary:
+            work = stack.enter_context(scratch_folder()) / "work"
+        elif work is None:
+            work = work_folder_of(output)
+        folder = stack.enter_context(WorkFolder(str(work)))
+        try:
+            yield folder
+        except WriteError as error:
+            if temporary or folder.is_empty:
+                raise
+            raise LumitreeError(
+                f"{error}; the same command continues from what {shown(folder.path, 300)} holds"
+            ) from error
 
 
 def finish_bake(
@@ -27,6 +70,8 @@ def finish_bake(
     **figures: Any,
 ) -> BakeResult:
     """Write an asset with the spectrum of its luminaire, and compare the irradiance around both.
+
+    An asset with a radiance field only gets a light field (`with_field_light`).
 
     Args:
         watch: measures the stage "irradiance"; all its times become the result's.
@@ -41,7 +86,7 @@ def finish_bake(
         from lumitree.trace.flux import emitted_spectrum
 
         asset = dataclasses.replace(asset, spectrum=emitted_spectrum(luminaire))
-    asset = as_stored(asset)
+    asset = as_stored(with_field_light(asset))
     irradiance, complete = None, stopped_by is None
     with deferred_interrupt() as interruption:
         path = save_asset(asset, output)

@@ -72,7 +72,7 @@ class Manifest:
         fingerprint: identifies the luminaire's content; a capture resumes only if it matches.
         split: "train" or "test".
         resolution: pixels per side, at most 16384.
-        samples_per_pixel: paths per pixel.
+        spp: paths per pixel.
         path_depth: largest number of bounces of a path.
         half_width: half the side of every view, local units.
         local_frame: local frame of the luminaire.
@@ -86,7 +86,7 @@ class Manifest:
     fingerprint: str
     split: Split
     resolution: int
-    samples_per_pixel: int
+    spp: int
     path_depth: int
     half_width: float
     local_frame: LocalFrame
@@ -184,7 +184,7 @@ class Dataset:
         """Read the views one by one.
 
         Raises:
-            LumitreeError: views are missing or damaged, or their size is not that of the manifest.
+            LumitreeError: views are missing or damaged, or their size is not the manifest's.
         """
         missing = self.missing()
         if missing:
@@ -236,7 +236,7 @@ def _parse(value: Any) -> Manifest:
         fingerprint=record.label("fingerprint"),
         split=record.choice("split", get_args(Split)),
         resolution=record.integer("resolution"),
-        samples_per_pixel=record.integer("samples_per_pixel"),
+        spp=record.integer("spp"),
         path_depth=record.integer("path_depth"),
         half_width=record.number("half_width"),
         local_frame=LocalFrame.of_record(record),

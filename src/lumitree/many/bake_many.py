@@ -21,9 +21,9 @@ from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.progress import progress as progress_of
 from lumitree.core.results import Stopwatch
 from lumitree.errors import LumitreeError, shown
+from lumitree.fit.bake import bake
 from lumitree.fit.config import BakeConfig
-from lumitree.fit.sources import applicable, bake_source, warn_of_unused
-from lumitree.fit.work import work_folder_of
+from lumitree.fit.finishing import work_folder_of
 from lumitree.formats.photometric_file import read_again
 from lumitree.lamp.builtin import BUILTIN
 from lumitree.lamp.dataset import MANIFEST
@@ -64,11 +64,10 @@ def bake_many(
     lamp that fails does not affect the others.
 
     Args:
-        luminaires: names, files and `LuminaireSource`, as for `bake`, `bake_views` and
-            `bake_photometric`.
+        luminaires: names, files and `LuminaireSource`, as for `bake`.
         folder: folder of the assets. It is made if it is missing.
-        config: settings of the bakes of all lamps. Default: `BakeConfig.standard()`. Settings that
-            do not apply to photometric files are not used for them, with a warning.
+        config: settings of the bakes of all lamps. Default: `BakeConfig.of()`. Photometric files
+            get the part "light" only, whatever the parts are.
         executor: runs the bakes, a task for each lamp: any `concurrent.futures.Executor`, such as
             the one of `process_pool` or of a Dask client. Its workers need the same files under the
             same paths. Default: this process bakes one lamp after another.
@@ -101,8 +100,9 @@ def bake_many(
     if task is not None:
         number, count = _part(task)
         named = dict(list(named.items())[number - 1 :: count])
-    config = BakeConfig.standard() if config is None else config
-    warn_of_unused(named.values(), config)
+    config = BakeConfig.of() if config is None else config
+    if config.method == "network":
+        raise LumitreeError("method network: for one luminaire at a time; bake each by itself")
     jobs = [_Job(root, name, each, config, variant) for name, each in named.items()]
     lamps = [BakedLamp(name, each.name, "waiting") for name, each in named.items()]
     stopped_by: int | None = None
@@ -241,7 +241,10 @@ def _kept_or_baked(
 ) -> tuple[BakedLamp, int | None]:
     # Not `with_suffix`: a name may contain dots.
     path = job.folder / f"{job.name}.lumitree"
-    config = applicable(job.config, job.source)
+    config = job.config
+    if source_kind(job.source) == "photometric" and "light" in (config.parts or ()):
+        # The only part that it can have.
+        config = dataclasses.replace(config, parts=None)
     fingerprint, luminaire = _loaded(job.source, config)
     try:
         if path.exists() and fingerprint_of(path) == fingerprint:
@@ -252,16 +255,16 @@ def _kept_or_baked(
     # Needs Mitsuba's variant.
     from lumitree.fit.octree.saved_state import STATE, OtherBakeError
 
-    bake = functools.partial(
-        bake_source, luminaire, path, config, variant=job.variant, progress=progress
+    bake_lamp = functools.partial(
+        bake, luminaire, path, config, variant=job.variant, progress=progress
     )
     try:
-        result = bake()
+        result = bake_lamp()
     except OtherBakeError:
         # The lamp or its settings have changed since its bake was interrupted.
         with WorkFolder(work_folder_of(path)) as work:
             work.remove([STATE])
-        result = bake()
+        result = bake_lamp()
     # Otherwise a signal would make the next call repeat a bake that is complete.
     with deferred_interrupt() as interruption:
         write_thumbnail(job.folder, job.name, result.asset)

@@ -1,4 +1,4 @@
-"""An asset as images show it, alone: its geometry, its field, or else its light field."""
+"""Images of an asset with nothing around it: its geometry, its field, or else its light field."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.rendering.asset_views import baked_image
 from lumitree.rendering.passes import Budget, render_passes
-from lumitree.rendering.plugins.register import shape
+from lumitree.rendering.register import shape
 from lumitree.trace.cameras import PATH_DEPTH
 
 # Equal settings give equal images: there is no option for the seed.
@@ -35,7 +35,7 @@ def shown_images(
     poses: Sequence[NDArray[np.float64]],
     half_width: float,
     resolution: int,
-    samples_per_pixel: int,
+    spp: int,
 ) -> list[Images]:
     """Orthographic images of an asset.
 
@@ -43,7 +43,7 @@ def shown_images(
         poses: [4, 4] `local_from_camera` of cameras, which look along their -z.
         half_width: half the side of the images, local units.
         resolution: pixels per side.
-        samples_per_pixel: paths per pixel, where the geometry is shown. The others have 16 rays.
+        spp: paths per pixel, where the geometry is shown. The others have 16 rays.
 
     Returns:
         For each pose radiance [H, W, 3], W/(m² sr), and opacity [H, W]: where the geometry is
@@ -52,9 +52,7 @@ def shown_images(
     name = f"preview {asset.luminaire}"
     if asset.geometry is not None:
         camera = geometry_camera(asset, half_width, resolution)
-        return [
-            camera.take(pose, samples_per_pixel, index, name) for index, pose in enumerate(poses)
-        ]
+        return [camera.take(pose, spp, index, name) for index, pose in enumerate(poses)]
     images = []
     with progress(name, len(poses)) as advance:
         for pose in poses:
@@ -63,7 +61,7 @@ def shown_images(
     return images
 
 
-def scene_alone(asset: Asset) -> dict[str, Any]:
+def asset_scene(asset: Asset) -> dict[str, Any]:
     """Members of a scene, for `mi.load_dict`: the geometry of an asset, with nothing around it.
 
     No receiver gets the asset's light field there: one cell stands for it, whose tables take no
@@ -71,14 +69,14 @@ def scene_alone(asset: Asset) -> dict[str, Any]:
     """
     one_cell = make_light_field(np.zeros((1, 3), np.int64), np.ones((1, 16, 3)), depth=1)
     lit = light_field_asset(one_cell, asset.frame, asset.luminaire, asset.spectrum)
-    alone = dataclasses.replace(lit, geometry=asset.geometry, light_factors=asset.light_factors)
-    lamp = shape(alone, asset.frame.local_from_world, appearance="geometry")
+    shown = dataclasses.replace(lit, geometry=asset.geometry, light_factors=asset.light_factors)
+    lamp = shape(shown, asset.frame.local_from_world, appearance="geometry")
     return {"type": "scene", "lamp": lamp}
 
 
 def geometry_camera(asset: Asset, half_width: float, resolution: int) -> LampCamera:
     """A camera before the geometry of an asset."""
-    return LampCamera(scene_alone(asset), geometry_integrator(), half_width, resolution)
+    return LampCamera(asset_scene(asset), geometry_integrator(), half_width, resolution)
 
 
 def geometry_integrator() -> mi.Integrator:
@@ -110,9 +108,7 @@ class LampCamera:
         transforms_as_parameters(self.scene.shapes())
         self._integrator = integrator
 
-    def take(
-        self, pose: NDArray[np.float64], samples_per_pixel: int, index: int, name: str
-    ) -> Images:
+    def take(self, pose: NDArray[np.float64], spp: int, index: int, name: str) -> Images:
         """Radiance and opacity of a view, as `shown_images`; `index` makes its random numbers."""
         # Mitsuba's cameras look along +z, with x to the left.
         axes = np.diag([-self._half_width, self._half_width, -1, 1])
@@ -121,7 +117,7 @@ class LampCamera:
         parameters.update()
         # A root seed has 31 bits.
         seed = SeedStream(Purpose.PREVIEW, index).seed(_ROOT_SEED) >> 1
-        budget = Budget(samples_per_pixel)
+        budget = Budget(spp)
         channels = render_passes(
             self.scene, self._integrator, budget, seed=seed, name=name
         ).channels

@@ -49,22 +49,22 @@ class Budget:
     """When a render stops: at the first limit that is reached.
 
     Attributes:
-        samples_per_pixel: number of samples, or None.
+        spp: number of samples, or None.
         seconds: time of rendering, s, or None. One pass is always completed.
         noise: relative noise as `Rendering.noise`, or None. Eight passes are always completed.
     """
 
-    samples_per_pixel: int | None = None
+    spp: int | None = None
     seconds: float | None = None
     noise: float | None = None
 
     def __post_init__(self) -> None:
-        if self.samples_per_pixel is not None and self.samples_per_pixel < 1:
-            raise LumitreeError(f"spp is {self.samples_per_pixel}; expected at least 1")
+        if self.spp is not None and self.spp < 1:
+            raise LumitreeError(f"spp is {self.spp}; expected at least 1")
 
     def share(self, samples: int, seconds: float, noise: float | None) -> float:
         """Part of the budget that is spent, 0 to 1."""
-        shares = [samples / (self.samples_per_pixel or MAX_SAMPLES)]
+        shares = [samples / (self.spp or MAX_SAMPLES)]
         if self.seconds is not None:
             shares.append(seconds / self.seconds)
         if self.noise is not None and noise is not None:
@@ -80,7 +80,7 @@ class Rendering:
     Attributes:
         channels: float32 [H, W, C], linear radiance of R, G and B, W/(m² sr), then alpha if the
             film has it, and then the further channels of the integrator.
-        samples_per_pixel: samples per pixel.
+        spp: samples per pixel.
         noise: relative standard error of the radiance of a pixel, averaged over R, G and B: the
             root mean square in each block of 16 x 16 pixels, relative to the block's mean radiance;
             averaged over the blocks, of which those darker than the median of the blocks with light
@@ -89,7 +89,7 @@ class Rendering:
     """
 
     channels: NDArray[np.float32]
-    samples_per_pixel: int
+    spp: int
     noise: float | None
     seconds: float
 
@@ -137,7 +137,7 @@ def _noise(sums: PassSums) -> float | None:
     known = np.isfinite(mean) & np.isfinite(squares)
     if not known.any():
         return None
-    # Of the pixels that are numbers.
+    # Share of the pixels of a block that are numbers.
     share = np.maximum(block_means(known.astype(np.float64), _BLOCK), 1e-300)
     variance = np.where(known, squares, 0) / (sums.passes - 1) / sums.samples
     variance, level = (
@@ -147,7 +147,7 @@ def _noise(sums: PassSums) -> float | None:
     if not lit.any():
         return 0.0
     error, level = np.sqrt(variance[lit]), level[lit]
-    # Neither the lamp itself nor what is nearly black decides.
+    # Neither the lamp itself nor nearly black blocks decide.
     weights = 1 / np.maximum(level, np.median(level))
     return float((weights * error).sum() / (weights * level).sum())
 
@@ -186,8 +186,8 @@ def render_passes(
     Args:
         so_far: called with the image so far after the first pass and then every two seconds or
             more, so that it takes no more than a tenth of the time.
-        renderer: what renders the passes. Default: `render_pass`, one after another.
-        saved: where the passes so far are kept, from which an interrupted call continues.
+        renderer: function that renders the passes. Default: `render_pass`, one after another.
+        saved: keeps the passes so far, from which an interrupted call continues.
     """
     pixels = int(dr.prod(scene.sensors()[0].film().crop_size()))
     plan = _Plan(budget, pixels, seed)
@@ -259,7 +259,7 @@ class _Plan:
 
     def __init__(self, budget: Budget, pixels: int, seed: int) -> None:
         self._seed, self._time = seed, budget.seconds
-        self.limit = budget.samples_per_pixel or MAX_SAMPLES
+        self.limit = budget.spp or MAX_SAMPLES
         batch = _SAMPLES_PER_PASS[dr.backend_v(mi.Float)] // pixels
         if (budget.seconds, budget.noise) != (None, None):
             batch = min(batch, _MAX_SAMPLES_PER_PIXEL, self.limit // _MIN_PASSES)

@@ -28,9 +28,9 @@ from lumitree.rendering.saved_image import SavedImage
 from lumitree.rendering.saved_passes import SavedPasses
 
 if TYPE_CHECKING:
-    from lumitree.rendering.camera_view import CameraView
     from lumitree.rendering.layers import Recorded
     from lumitree.rendering.passes import Rendering
+    from lumitree.rendering.scene import CameraView
 
 # Samples per pixel if no limit is given.
 _SAMPLES_PER_PIXEL = 64
@@ -50,13 +50,13 @@ class RenderResult(SavedImage):
         exposure: factor on the radiance before the view transform of `png`. By default the
             log-average luminance of the image is then 0.15 of white's.
         resolution: width and height in pixels.
-        samples_per_pixel: samples per pixel.
+        spp: samples per pixel.
         mean_radiance: mean over pixels and channels, W/(m² sr).
         noise: estimated standard error of a pixel before denoising, relative to the mean radiance
             around it, averaged over the image: neither the lamp itself nor what is nearly black
             decides. 0.1 is grain that is seen, 0.02 is hardly. None if there was one pass only.
         layers: by name, float32 [height, width, 3], the radiance of the light of one luminaire, or
-            of the room; their sum is the image. Empty if they were not asked for.
+            of the room; their sum is the image. Empty without the option `layers`.
         noisy: float32 [height, width, 3], radiance before denoising; None as `albedo`.
         albedo: float32 [height, width, 3], diffuse reflectance of the first surface that is not
             specular, times the throughput up to it; None without `layers`, `aov` and `denoise`.
@@ -67,7 +67,7 @@ class RenderResult(SavedImage):
     """
 
     resolution: tuple[int, int]
-    samples_per_pixel: int
+    spp: int
     mean_radiance: float
     noise: float | None = None
     layers: dict[str, NDArray[np.float32]] = dataclasses.field(default_factory=dict, repr=False)
@@ -117,7 +117,7 @@ def render(
     scene: "FilePath | Mapping[str, Any] | Any",
     placements: Sequence[Placement] = (),
     *,
-    samples_per_pixel: int | None = None,
+    spp: int | None = None,
     time: float | None = None,
     noise: float | None = None,
     denoise: bool = False,
@@ -139,7 +139,7 @@ def render(
     The integrator `path` of the scene is replaced by `lumitree_path`, or by `volpath` if there are
     heterogeneous media. Warns of objects in a baked luminaire that are not lit there.
 
-    The image is finished when the first of `samples_per_pixel`, `time` and `noise` is reached.
+    The image is finished when the first of `spp`, `time` and `noise` is reached.
 
     Args:
         scene: what to render, with a camera: the path of a Mitsuba 3 scene (`.xml`), a dictionary
@@ -147,7 +147,7 @@ def render(
             integrator `path` of a `mitsuba.Scene` cannot be changed: it is refused with a `width`,
             and with `denoise` if its reconstruction filter is no box.
         placements: the luminaires, baked or explicit, with position, size and rotation.
-        samples_per_pixel: samples per pixel, 1 to 1,048,576. Default: 64, or no limit if there is
+        spp: samples per pixel, 1 to 1,048,576. Default: 64, or no limit if there is
             a `time` or a `noise`.
         time: time of rendering, s, 0.001 to 10⁷, with compilation; one pass of at most 16 samples
             per pixel is always completed.
@@ -155,8 +155,8 @@ def render(
         denoise: filter the noise out with Open Image Denoise, illumination and emitters that are
             seen directly apart. Needs the optional dependency `denoise`. The scene's
             reconstruction filter becomes a box.
-        layers: whether the light of each luminaire and of the room is also returned apart, for
-            `mix`. The layers are named by `Placement.label`, and "room".
+        layers: whether the light of each luminaire and of the room is also returned separately,
+            for `mix`. The layers are named by `Placement.label`, and "room".
         aov: whether albedo and normal of the first surface that is not specular are also returned.
         width: width of the image in pixels, 1 to 16,384; the aspect ratio stays. Default: the
             scene's.
@@ -175,9 +175,9 @@ def render(
         seed: root seed of all random numbers, 0 to 2³¹ - 1.
         variant: Mitsuba variant, as for `bake`; or "llvm_ad_spectral" or "cuda_ad_spectral", which
             render spectra, but neither `denoise`, `layers` nor `aov`.
-        executor: whose workers render the passes; each loads the scene. With a number of samples or
-            a `noise` the image is that of one process, apart from the last digits. Default: this
-            process.
+        executor: its workers render the passes; each loads the scene. With a number of samples or a
+            `noise` the image equals the image of one process, apart from the last digits. Default:
+            this process.
         progress: function that is called with a `Progress` after each pass; see `bake`.
 
     Returns:
@@ -192,9 +192,9 @@ def render(
             needs is not installed; a worker is lost; or the scene cannot be sent to the workers of
             `executor`, such as a `mitsuba.Scene`.
     """
-    if (samples_per_pixel, time, noise) == (None, None, None):
-        samples_per_pixel = _SAMPLES_PER_PIXEL
-    _check(samples_per_pixel, time, noise, width)
+    if (spp, time, noise) == (None, None, None):
+        spp = _SAMPLES_PER_PIXEL
+    _check(spp, time, noise, width)
     check_items("placements", placements, Placement)
     check_seed(seed)
     check_view(view, exposure)
@@ -205,7 +205,7 @@ def render(
         raise LumitreeError(
             f"denoise, layers and aov need an RGB variant of Mitsuba, not {mi.variant()}"
         )
-    from lumitree.rendering.denoise import check_denoiser, denoised
+    from lumitree.rendering.layers import check_denoiser, denoised
     from lumitree.rendering.passes import Budget
 
     if denoise:
@@ -221,7 +221,7 @@ def render(
             scene=Path(scene).name if isinstance(scene, str | os.PathLike) else None,
             lamps=dict(zip(names[1:], map(_described, placements), strict=True)),
             integrator=type(job.integrator).__name__,
-            samples_per_pixel=rendering.samples_per_pixel,
+            spp=rendering.spp,
             time=time,
             noise=rendering.noise,
             denoise=filtered,
@@ -236,7 +236,7 @@ def render(
             settings=settings,
             exposure=factor,
             resolution=(pixels.shape[1], pixels.shape[0]),
-            samples_per_pixel=rendering.samples_per_pixel,
+            spp=rendering.spp,
             noise=rendering.noise,
             mean_radiance=float(pixels.mean()),
             camera=job.camera,
@@ -256,7 +256,7 @@ def render(
             renderer = None if executor is None else renderer_of(executor, described)
             job = RenderJob(described)
         with watch.stage("render"), contextlib.ExitStack() as stack:
-            budget = Budget(samples_per_pixel, time, noise)
+            budget = Budget(spp, time, noise)
             shown, saved = None if so_far is None else show, None
             if work is not None:
                 identity = job.identity(seed)
@@ -270,10 +270,8 @@ def render(
     return result(rendering, pixels, denoise, **_parts(recorded, noisy, names if layers else ()))
 
 
-def _check(
-    samples_per_pixel: int | None, time: float | None, noise: float | None, width: int | None
-) -> None:
-    sizes = {"spp": samples_per_pixel, "width": width}
+def _check(spp: int | None, time: float | None, noise: float | None, width: int | None) -> None:
+    sizes = {"spp": spp, "width": width}
     check_image_settings(**{name: value for name, value in sizes.items() if value is not None})
     if time is not None:
         check_range("time", time, 1e-3, 1e7)
@@ -297,7 +295,7 @@ def _parts(
 
 
 def _described(placement: Placement) -> dict[str, Any]:
-    """A placement for the comment of an image: what was given of it."""
+    """The given values of a placement, for the comment of an image."""
     values = {field.name: getattr(placement, field.name) for field in dataclasses.fields(placement)}
     given = {name: value for name, value in values.items() if value is not None}
     return {**given, "source": placement.name}

@@ -19,8 +19,8 @@ from lumitree.lamp.luminaire import Luminaire
 from lumitree.lamp.scene_shapes import reusable_shapes
 from lumitree.rendering.asset_images import (
     LampCamera,
+    asset_scene,
     geometry_integrator,
-    scene_alone,
     shown_images,
 )
 from lumitree.trace.cameras import PATH_DEPTH, path_integrator
@@ -45,7 +45,7 @@ def asset_photographs(
     poses: Sequence[NDArray[np.float64]],
     half_width: float,
     resolution: int,
-    samples_per_pixel: int,
+    spp: int,
     exposure: float | None = None,
 ) -> list[NDArray[np.uint8]]:
     """sRGB images [H, W, 3] of an asset, before a grey backdrop.
@@ -53,25 +53,25 @@ def asset_photographs(
     Softboxes light its geometry. A field, which reflects nothing, has the backdrop alone.
 
     Args:
-        poses, half_width, resolution, samples_per_pixel: as for `shown_images`.
+        poses, half_width, resolution, spp: as for `shown_images`.
         exposure: factor on the radiance. Default: `auto_exposure` of the first image.
     """
     if asset.geometry is None:
-        shown = shown_images(asset, poses, half_width, resolution, samples_per_pixel)
+        shown = shown_images(asset, poses, half_width, resolution, spp)
         factor = OWN * (auto_exposure(shown[0][0]) if exposure is None else exposure)
         return [
             tonemap(radiance * factor + BACKDROP * (1 - opacity[..., None]))
             for radiance, opacity in shown
         ]
-    studio = _Studio(scene_alone(asset), geometry_integrator(), half_width, resolution)
-    return studio.photographs(poses, samples_per_pixel, exposure, asset.luminaire)
+    studio = _Studio(asset_scene(asset), geometry_integrator(), half_width, resolution)
+    return studio.photographs(poses, spp, exposure, asset.luminaire)
 
 
 def luminaire_photographs(
     luminaire: Luminaire,
     poses: Sequence[NDArray[np.float64]],
     resolution: int,
-    samples_per_pixel: int,
+    spp: int,
     exposure: float,
 ) -> list[NDArray[np.uint8]]:
     """As `asset_photographs`, of a luminaire in its bounding sphere."""
@@ -83,14 +83,14 @@ def luminaire_photographs(
         resolution,
         luminaire.scene_frame.world_from_local,
     )
-    return studio.photographs(poses, samples_per_pixel, exposure, luminaire.name)
+    return studio.photographs(poses, spp, exposure, luminaire.name)
 
 
-def portrait(asset: Asset, resolution: int, samples_per_pixel: int) -> NDArray[np.uint8]:
+def portrait(asset: Asset, resolution: int, spp: int) -> NDArray[np.uint8]:
     """sRGB image [H, W, 3] of an asset from obliquely in front, which its box fills."""
     pose = pose_towards(_PORTRAIT, (0, 1, 0), 4.0)
     half_width = portrait_half_width(asset)
-    return asset_photographs(asset, [pose], half_width, resolution, samples_per_pixel)[0]
+    return asset_photographs(asset, [pose], half_width, resolution, spp)[0]
 
 
 def portrait_half_width(asset: Asset) -> float:
@@ -154,17 +154,17 @@ class _Studio:
     def photographs(
         self,
         poses: Sequence[NDArray[np.float64]],
-        samples_per_pixel: int,
+        spp: int,
         exposure: float | None,
         name: str,
     ) -> list[NDArray[np.uint8]]:
         name = f"preview {name}"
         if exposure is None:
             # The same scene, whose kernel is compiled once.
-            exposure = auto_exposure(self._camera.take(poses[0], samples_per_pixel, 0, name)[0])
+            exposure = auto_exposure(self._camera.take(poses[0], spp, 0, name)[0])
         self._light(1 / (OWN * exposure))
         return [
-            tonemap(self._camera.take(pose, samples_per_pixel, index, name)[0], OWN * exposure)
+            tonemap(self._camera.take(pose, spp, index, name)[0], OWN * exposure)
             for index, pose in enumerate(poses)
         ]
 

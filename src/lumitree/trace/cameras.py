@@ -152,11 +152,11 @@ class Camera:
         self,
         luminaire: Luminaire,
         resolution: int,
-        samples_per_pixel: int,
+        spp: int,
         path_depth: int = PATH_DEPTH,
     ) -> None:
         self._luminaire = luminaire
-        self._resolution, self._samples = resolution, samples_per_pixel
+        self._resolution, self._samples = resolution, spp
         self._path_depth = path_depth
         self._integrator = path_integrator(luminaire, path_depth)
         self._sampler = mi.load_dict({"type": "independent"})
@@ -224,9 +224,9 @@ def capture(
     luminaire: Luminaire,
     folder: str | os.PathLike[str],
     *,
-    num_views: int = 100,
+    views: int = 100,
     resolution: int = 256,
-    samples_per_pixel: int = 128,
+    spp: int = 128,
     split: Split = "train",
     workers: LampWorkers | None = None,
 ) -> Dataset:
@@ -242,8 +242,8 @@ def capture(
         LumitreeError: bad settings, `folder` has another capture, another process works in it,
             or a worker is lost.
     """
-    check_count("views", num_views, 1, MAX_VIEWS)
-    check_image_settings(resolution=resolution, spp=samples_per_pixel)
+    check_count("views", views, 1, MAX_VIEWS)
+    check_image_settings(resolution=resolution, spp=spp)
     first = 1 if split == "train" else FIRST_TEST_INDEX
     # Cameras stand clear of the bounding sphere.
     distance = 2 * luminaire.bounding_radius
@@ -252,7 +252,7 @@ def capture(
         fingerprint=luminaire.fingerprint,
         split=split,
         resolution=resolution,
-        samples_per_pixel=samples_per_pixel,
+        spp=spp,
         path_depth=PATH_DEPTH,
         half_width=luminaire.bounding_radius,
         local_frame=luminaire.frame,
@@ -262,14 +262,14 @@ def capture(
                 halton_index=index,
                 local_from_camera=tuple(map(tuple, view_pose(index, distance).tolist())),
             )
-            for index in range(first, first + num_views)
+            for index in range(first, first + views)
         ),
     )
     with exclusive(Path(folder)):
         dataset = _open_or_start(Path(folder), manifest)
-        missing, settings = dataset.missing(), (resolution, samples_per_pixel)
-        done = num_views - len(missing)
-        with progress(f"capture {luminaire.name}", num_views, done) as advance:
+        missing, settings = dataset.missing(), (resolution, spp)
+        done = views - len(missing)
+        with progress(f"capture {luminaire.name}", views, done) as advance:
             if workers is None:
                 camera = Camera(luminaire, *settings)
                 for frame in missing:

@@ -4,7 +4,6 @@ import dataclasses
 
 from lumitree.asset.light_field import MAX_DEPTH
 from lumitree.core.arguments import check_count
-from lumitree.core.seeds import check_seed
 from lumitree.errors import LumitreeError
 
 MAX_PATHS = 1 << 32
@@ -48,18 +47,3 @@ class LightFieldConfig:
                 f"bins of direction a side is {self.resolution}; expected a power of two"
             )
         check_count("paths at once", self.batch, 1, 1 << 24)
-
-
-@dataclasses.dataclass(frozen=True)
-class LightFieldFitConfig(LightFieldConfig):
-    """How the light field of a luminaire is estimated.
-
-    Attributes:
-        seed: root seed of all random numbers.
-    """
-
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_seed(self.seed)

@@ -40,7 +40,7 @@ class PageModel:
         arrays: codes by name: "positions" [V, 3], "normals" [V, 2], "places" [V, 2] on the
             image of their pattern, "light" [V, 6] of the front's and the back's R, G and B, which
             the pattern is a factor of, and "soft" [V, 6], the same by the light of the studio
-            alone; "triangles" [F, 3], vertices; and "surfaces" [F], rows of the description's
+            only; "triangles" [F, 3], vertices; and "surfaces" [F], rows of the description's
             "surfaces".
     """
 
@@ -74,7 +74,7 @@ def page_model(asset: Asset) -> PageModel:
     visible = faces[baked], faces[backs]
     light = _sent_out(asset, vertices, means, *visible)
     largest = float(light.max()) or 1.0
-    # The pattern of an emitter is the pattern of its own light.
+    # The pattern of an emitter is the pattern of its emission.
     means[faces[np.array([row.emits for row in rows])[surfaces]]] = 1.0
     lights = studio_lights(portrait_half_width(asset), 1.0)
     soft = _sent_out(_unlit(asset), vertices, means, *visible, lights)
@@ -126,7 +126,7 @@ def _sent_out(
     count = len(vertices)
     if not len(fronts):
         return np.zeros((count, 6), np.float32)
-    # The back is a surface of its own, whose triangles turn the other way.
+    # The back is another surface, whose triangles turn the other way.
     faces = np.concatenate([fronts, backs[:, ::-1] + count])
     paths = int(np.clip(_PATHS // len(faces), _LEAST_PATHS, _MOST_PATHS))
     both, patterns = np.concatenate([vertices, vertices]), np.concatenate([pattern, pattern])

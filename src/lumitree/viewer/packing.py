@@ -1,7 +1,7 @@
 """Content of the page of the viewer: arrays of an asset in one compressed stream.
 
 The geometry is shown, if there is one (`model`), and the field. The field is rounded as in a
-file, and its numbers are those of the file's stream (`field_file`). Without both the light field
+file, to the numbers of the file's stream (`field_file`). Without both the light field
 is shown, as a field (`light_as_field`). The light field is reduced to luminous intensity, as
 float16 relative to the largest of each cell.
 """
@@ -27,7 +27,7 @@ from lumitree.asset.field_file import (
 from lumitree.asset.light_field import LightField, unpack
 from lumitree.core.photometry import luminance
 from lumitree.errors import LumitreeError
-from lumitree.octree.wide_nodes import wide_levels, wide_nodes
+from lumitree.octree.build import wide_levels, wide_nodes
 from lumitree.rendering.studio import BACKDROP, OWN, SOFTBOX, portrait_half_width, softboxes
 from lumitree.viewer.light_as_field import DEFAULT_VIEW, brightest_view, light_as_field
 from lumitree.viewer.model import page_model

@@ -7,12 +7,12 @@ from lumitree.asset.light_field import is_part, make_light_field, pack, pack_par
 from lumitree.core.octahedral import coarse_solid_angles, solid_angles
 from lumitree.core.photometry import luminance
 from lumitree.fit.light_field.bake import bake_light_field
-from lumitree.trace.light_field_config import LightFieldFitConfig
+from lumitree.trace.light_field_config import LightFieldConfig
 from lumitree.trace.light_paths import LampRays, as_rows
 from lumitree.trace.segments import EndingConfig
 from support.lamps import AREA, cube, lamp_of, sphere
 
-CONFIG = LightFieldFitConfig(paths=1 << 19, batch=1 << 18, depth=4, resolution=16)
+CONFIG = LightFieldConfig(paths=1 << 19, batch=1 << 18, depth=4, resolution=16)
 RADIANCE = np.array([3.0, 2.0, 1.0])
 TINT = np.array([0.9, 0.5, 0.2])
 THIN = (

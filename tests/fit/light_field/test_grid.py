@@ -9,12 +9,12 @@ import lumitree
 from lumitree.errors import LumitreeError
 from lumitree.fit.light_field.bake import bake_light_field, grid_depth
 from lumitree.lamp.luminaire import load_luminaire
-from lumitree.trace.light_field_config import LEAST_DEPTH, LightFieldFitConfig
+from lumitree.trace.light_field_config import LEAST_DEPTH, LightFieldConfig
 from support.chandelier import chandelier, irradiance_errors, references
 from support.lamps import AREA, cube, lamp_of, sphere
 from support.light_fields import assert_equal_fields
 
-CONFIG = LightFieldFitConfig(paths=1 << 15, batch=1 << 15, resolution=8)
+CONFIG = LightFieldConfig(paths=1 << 15, batch=1 << 15, resolution=8)
 
 
 @pytest.mark.parametrize(
@@ -50,10 +50,10 @@ def test_a_lamp_without_light_keeps_its_cells_and_is_refused(mi, tmp_path):
 def test_equal_seeds_give_equal_fields_and_other_seeds_equal_grids(mi, tmp_path):
     lamp = load_luminaire(chandelier(1.0))
 
-    def baked(**changes):
-        folder = tmp_path / str(changes)
+    def baked(seed=0, **changes):
+        folder = tmp_path / f"{seed}{changes}"
         folder.mkdir(exist_ok=True)
-        return bake_light_field(lamp, dataclasses.replace(CONFIG, **changes), folder)
+        return bake_light_field(lamp, dataclasses.replace(CONFIG, **changes), folder, seed=seed)
 
     field = baked()
     assert field.depth == baked(seed=1).depth == 6

@@ -10,14 +10,14 @@ from lumitree.core.device import on_device
 from lumitree.core.octahedral import bin_of, coarse_bin, coarse_solid_angles, solid_angles
 from lumitree.core.photometry import luminance
 from lumitree.fit.light_field.bake import bake_light_field
-from lumitree.trace.light_field_config import LightFieldFitConfig
+from lumitree.trace.light_field_config import LightFieldConfig
 from lumitree.trace.light_paths import LampRays
 from lumitree.trace.segments import EndingConfig
 from support.lamps import AREA, cube, lamp_of, sphere
 from support.light_fields import assert_equal_fields
 from support.slow import slow
 
-CONFIG = LightFieldFitConfig(paths=1 << 20, batch=1 << 18, depth=5, resolution=32)
+CONFIG = LightFieldConfig(paths=1 << 20, batch=1 << 18, depth=5, resolution=32)
 RADIANCE = np.array([3.0, 2.0, 1.0])
 RADIUS = 0.25
 BLACK = '<bsdf type="diffuse"><rgb name="reflectance" value="0"/></bsdf>'
@@ -176,7 +176,7 @@ def test_the_light_field_light_is_as_without_it(mi, lamp, field, tmp_path, monke
 def test_no_light_ends_on_a_bare_ball(mi, tmp_path):
     """J has no entry, and one curve."""
     lamp = lamp_of(tmp_path, sphere("ball", 1, inside=AREA))
-    config = LightFieldFitConfig(paths=1 << 18, batch=1 << 17, depth=2, resolution=8)
+    config = LightFieldConfig(paths=1 << 18, batch=1 << 17, depth=2, resolution=8)
     inside = bake_light_field(lamp, config, tmp_path).inside
     assert not len(inside.intensity)
     assert len(inside.reach_curves) == 1

@@ -46,7 +46,7 @@ def _assert_equal_to_rounding(one, four, start):
 
 @pytest.mark.slow
 def test_four_devices_give_the_result_of_one(tmp_path):
-    dataset = sphere_dataset(tmp_path / "sphere", num_views=4).folder
+    dataset = sphere_dataset(tmp_path / "sphere", views=4).folder
     script, output = (
         Path(__file__).parents[2] / "support" / "four_devices.py",
         tmp_path / "four.npz",

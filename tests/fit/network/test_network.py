@@ -8,7 +8,7 @@ import numpy as np
 from flax import nnx
 
 from lumitree.core.harmonics import basis_array
-from lumitree.fit.network.config import PRESETS, TrainConfig
+from lumitree.fit.network.config import TrainConfig
 from lumitree.fit.network.network import NerfSH, emission, fourier_features
 
 POSITIONS = jnp.asarray(np.random.default_rng(0).uniform(-1, 1, (500, 3)), jnp.float32)
@@ -33,7 +33,7 @@ def test_shapes_of_the_papers_network():
 
 
 def test_field_starts_half_clear_and_dim():
-    config = dataclasses.replace(PRESETS["preview"], l_max=1)
+    config = dataclasses.replace(TrainConfig.preview(), l_max=1)
     density, coefficients = NerfSH(config, 0.02, nnx.Rngs(0))(POSITIONS)
     assert density.shape == (500,)
     assert coefficients.shape == (500, 3, 4)
@@ -57,7 +57,7 @@ def test_emission_is_evaluated_towards_the_viewer():
 
 
 def test_gradients_reach_every_weight():
-    config = dataclasses.replace(PRESETS["preview"], width=8)
+    config = dataclasses.replace(TrainConfig.preview(), width=8)
     graph, params = nnx.split(NerfSH(config, 0.02, nnx.Rngs(0)))
 
     @jax.jit

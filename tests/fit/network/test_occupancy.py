@@ -28,7 +28,7 @@ def _in_box(points):
 
 
 def test_hull_keeps_the_object_and_carves_the_rest(tmp_path):
-    dataset = sphere_dataset(tmp_path, num_views=16, resolution=64)
+    dataset = sphere_dataset(tmp_path, views=16, resolution=64)
     hull = dilated_hull(
         ((view.frame.pose, view.geometric > 0) for view in dataset.views()),
         HALF_WIDTH,
@@ -46,9 +46,9 @@ def test_hull_keeps_the_object_and_carves_the_rest(tmp_path):
 
 def test_no_hit_is_ever_carved(tmp_path):
     """Also for views and pixels so few that footprints and pixels hardly overlap."""
-    for resolution, num_views in ((7, 5), (33, 3)):
+    for resolution, views in ((7, 5), (33, 3)):
         folder = tmp_path / str(resolution)
-        dataset = sphere_dataset(folder, num_views, resolution)
+        dataset = sphere_dataset(folder, views, resolution)
         hull = dilated_hull(
             ((view.frame.pose, view.geometric > 0) for view in dataset.views()),
             HALF_WIDTH,
@@ -111,7 +111,7 @@ def test_wrong_arrays_are_no_occupancy(tmp_path, change):
 
 
 def test_dropped_rays_are_background(tmp_path):
-    dataset = sphere_dataset(tmp_path, num_views=6, resolution=32)
+    dataset = sphere_dataset(tmp_path, views=6, resolution=32)
     everything, _ = load_rays(dataset, "geometric", skip_empty=False)
     kept, _ = load_rays(dataset, "geometric", skip_empty=True)
     assert len(kept.view) < 0.6 * len(everything.view)
@@ -120,7 +120,7 @@ def test_dropped_rays_are_background(tmp_path):
 
 
 def test_batches_are_the_captured_rays(tmp_path):
-    dataset = sphere_dataset(tmp_path, num_views=4, resolution=16)
+    dataset = sphere_dataset(tmp_path, views=4, resolution=16)
     rays, _ = load_rays(dataset, "straight_through", skip_empty=False)
     batch = jax.device_get(rays.batch(np.arange(len(rays.view))))
     for origin, direction, radiance, opacity in zip(*batch, strict=True):
@@ -144,7 +144,7 @@ def test_held_out_rays_are_never_drawn(tmp_path):
 
 
 def test_max_radiance_clips_fireflies(tmp_path):
-    dataset = sphere_dataset(tmp_path, num_views=6, resolution=64)
+    dataset = sphere_dataset(tmp_path, views=6, resolution=64)
     view = next(dataset.views())
     view.radiance[32, 32] = 1e6
     dataset.write(view)

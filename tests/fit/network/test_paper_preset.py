@@ -5,13 +5,13 @@ import inspect
 import numpy as np
 import pytest
 
-from lumitree.fit.config import NETWORK_BAKES
-from lumitree.fit.network.config import PRESETS
+from lumitree.fit.config import BakeConfig
 from lumitree.fit.network.step import EPSILON, learning_rate
 from lumitree.octree.extract import extract
-from lumitree.rendering.sampling.emitter_sampling import SAMPLING_KINDS
+from lumitree.rendering.emitter import SAMPLING_KINDS
 
-CONFIG, BAKE = PRESETS["paper"], NETWORK_BAKES["paper"]
+BAKE = BakeConfig.of("paper", "network").network
+CONFIG = BAKE.train
 
 
 @pytest.mark.parametrize(
@@ -28,7 +28,7 @@ CONFIG, BAKE = PRESETS["paper"], NETWORK_BAKES["paper"]
         ("HDR color loss", CONFIG.colour_loss, "hdr"),
         ("we directly supervise the opacity", CONFIG.supervise_opacity, True),
         ("epsilon = 0.01", EPSILON, 0.01),
-        ("100 images as our training set", BAKE.num_views, 100),
+        ("100 images as our training set", BAKE.views, 100),
         ("a resolution of 800²", BAKE.resolution, 800),
         ("a maximum octree depth of 10 levels", BAKE.tree_depth, 10),
         ("256 positional samples", BAKE.samples_per_leaf, 256),

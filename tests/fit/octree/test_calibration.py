@@ -171,10 +171,10 @@ def test_both_end_after_a_first_part_when_the_time_is_over(mi):
 
 def test_the_time_is_over_when_it_is_spent_and_not_reserved(mi):
     from lumitree.fit.octree.descent import Budget
-    from support.tiny_bakes import octree_fit
+    from support.tiny_bakes import octree_config
 
-    budget = Budget(octree_fit(time=100.0, rays=None), 50.0, 0)
+    budget = Budget(octree_config(time=100.0, rays=None), 50.0, 0)
     budget.reserved = 60.0
     assert (budget.progress, budget.is_over) == (1, False)
-    assert Budget(octree_fit(time=100.0, rays=None), 101.0, 0).is_over
-    assert not Budget(octree_fit(time=None, rays=5), 1e9, 0).is_over
+    assert Budget(octree_config(time=100.0, rays=None), 101.0, 0).is_over
+    assert not Budget(octree_config(time=None, rays=5), 1e9, 0).is_over

@@ -6,12 +6,12 @@ import re
 import pytest
 
 from lumitree.errors import LumitreeError
-from lumitree.fit.config import QUALITIES
+from lumitree.fit.config import BakeConfig
 from lumitree.fit.octree import config
 from lumitree.fit.octree.config import (
     CalibrationConfig,
     EstimateConfig,
-    OctreeFitConfig,
+    OctreeConfig,
     RefineConfig,
     ScheduleConfig,
 )
@@ -25,7 +25,9 @@ def test_every_setting_is_documented(name):
 
 
 def test_qualities_are_for_bakes_of_more_and_more_time():
-    preview, standard, high = (QUALITIES[name] for name in ("preview", "standard", "high"))
+    preview, standard, high = (
+        BakeConfig.of(name).octree for name in ("preview", "standard", "high")
+    )
     assert preview.time < standard.time < high.time
     assert preview.tree_depth < standard.tree_depth < high.tree_depth
 
@@ -42,12 +44,11 @@ def test_qualities_are_for_bakes_of_more_and_more_time():
         ({"l_max": -1}, "l_max is -1; expected 0 to 4"),
         ({"l_max": 5}, "l_max is 5"),
         ({"law": "cubic"}, "law is 'cubic'; expected linear, exponential"),
-        ({"seed": -1}, "seed is -1"),
     ],
 )
 def test_wrong_settings_are_refused(settings, message):
     with pytest.raises(LumitreeError, match=message):
-        OctreeFitConfig(**settings)
+        OctreeConfig(**settings)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from test_bake import interrupt_after, small_config
 from lumitree.core.frames import similarity
 from lumitree.errors import LumitreeError
 from lumitree.fit.octree.config import HeldOutConfig
-from lumitree.octree.leaves import leaf_cells
+from lumitree.octree.build import leaf_cells
 from support.fields import leaf_field, make_asset
 from support.lamps import AREA, cube, sphere
 
@@ -131,9 +131,9 @@ def test_an_interrupted_refinement_continues(ball, tmp_path, monkeypatch):
     assert 0 < first.rays < RAYS
     # Not with another asset, even one of the same structure, nor with another seed.
     darker = dataclasses.replace(asset, coefficients=asset.coefficients - np.float16(1))
-    for other, options in ((darker, {}), (asset, {"seed": 1})):
+    for other, seed in ((darker, 0), (asset, 1)):
         with pytest.raises(LumitreeError, match="unfinished bake of another"):
-            refine(other, ball, small_config(**options), tmp_path / "folder")
+            refine(other, ball, small_config(), tmp_path / "folder", seed)
     second = refine(asset, ball, small_config(), tmp_path / "folder")
     assert second.stopped_by is None
     assert steps == list(range(1, len(steps) + 1))

@@ -8,19 +8,19 @@ import pytest
 
 from lumitree.core.frames import LocalFrame
 from lumitree.errors import LumitreeError
-from lumitree.fit.octree.config import OctreeFitConfig, RefineConfig, SplitConfig
+from lumitree.fit.octree.config import OctreeConfig, RefineConfig, SplitConfig
 from support.field_rays import FieldRays, truth_and_start
 
 # As of the fields of `truth_and_start`.
-CONFIG = OctreeFitConfig(l_max=1, refine=RefineConfig(rays=1 << 10))
+CONFIG = OctreeConfig(l_max=1, refine=RefineConfig(rays=1 << 10))
 
 
-def state_file(folder, config=CONFIG, fingerprint="abc"):
+def state_file(folder, config=CONFIG, fingerprint="abc", seed=0):
     from lumitree.fit.octree.rays import Subject
     from lumitree.fit.octree.saved_state import StateFile
 
     return StateFile(
-        folder, Subject("lamp", fingerprint, LocalFrame(np.ones(3), np.eye(4))), config
+        folder, Subject("lamp", fingerprint, LocalFrame(np.ones(3), np.eye(4))), config, seed
     )
 
 
@@ -65,7 +65,7 @@ def test_without_a_file_there_is_no_state(mi, tmp_path):
     "other",
     [
         {"fingerprint": "abd"},
-        {"config": dataclasses.replace(CONFIG, seed=1)},
+        {"seed": 1},
         {"config": dataclasses.replace(CONFIG, split=SplitConfig(max_leaves=7))},
     ],
 )

@@ -8,7 +8,7 @@ import pytest
 from lumitree.errors import LumitreeError
 from lumitree.fit.octree.config import OctreeConfig
 from support.lamps import AREA, sphere
-from support.tiny_bakes import GROUPS, octree_fit
+from support.tiny_bakes import GROUPS, octree_config
 
 FEW = dataclasses.replace(
     GROUPS,
@@ -58,5 +58,5 @@ def test_a_bake_at_the_least_value(lamp, tmp_path, group, name, limits):
             for each in dataclasses.fields(OctreeConfig)
             if dataclasses.is_dataclass(each.default)
         }
-        asset = bake(ball, octree_fit(tree_depth=4, rays=1 << 15, **few), tmp_path).asset
+        asset = bake(ball, octree_config(tree_depth=4, rays=1 << 15, **few), tmp_path).asset
         assert asset.num_leaves > 0

@@ -8,7 +8,7 @@ import pytest
 from lumitree.errors import LumitreeError
 from lumitree.lamp.dataset import Dataset
 from support.lamps import AREA, cube, sphere
-from support.tiny_bakes import octree_fit
+from support.tiny_bakes import octree_config
 from support.traced_lamps import everywhere, stream
 
 VIEWS, RESOLUTION = 17, 64
@@ -27,9 +27,9 @@ def dataset(mi, tmp_path_factory):
     return capture(
         load_luminaire(str(folder / "lamp.xml")),
         str(folder / "views"),
-        num_views=VIEWS,
+        views=VIEWS,
         resolution=RESOLUTION,
-        samples_per_pixel=32,
+        spp=32,
         split="train",
     )
 
@@ -122,9 +122,9 @@ def test_hull_holds_the_lamp_and_little_else(mi, dataset):
 @pytest.mark.slow
 def test_bake_from_views(mi, dataset, tmp_path):
     from lumitree.fit.octree.bake import bake_stored
-    from lumitree.measure.view_errors import evaluate_views
+    from lumitree.measure.evaluate import evaluate_views
 
-    config = octree_fit(tree_depth=6, rays=1 << 22, refine={"rays": 1 << 13})
+    config = octree_config(tree_depth=6, rays=1 << 22, refine={"rays": 1 << 13})
     result = bake_stored(dataset, config, tmp_path)
     metrics = evaluate_views(result.asset, dataset).metrics
     assert metrics["psnr_linear"] > metrics["psnr_linear_black"] + 8
@@ -150,7 +150,7 @@ def test_one_view_is_refused(mi, lamp, tmp_path):
 
     emissive = lamp(sphere("lamp", 1, inside=AREA))
     one = capture(
-        emissive, str(tmp_path / "one"), num_views=1, resolution=16, samples_per_pixel=1,
+        emissive, str(tmp_path / "one"), views=1, resolution=16, spp=1,
         split="train",
     )  # fmt: skip
     with pytest.raises(LumitreeError, match="one view"):

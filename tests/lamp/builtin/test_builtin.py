@@ -120,9 +120,7 @@ def test_its_figures_are_those_of_its_scene(mi, models, name):
 
 @pytest.mark.parametrize("name", slow_but(["bulbs", "cluster"], BUILTIN))
 def test_tiny_capture(mi, name, tmp_path):
-    dataset = capture(
-        load_luminaire(name), tmp_path, num_views=2, resolution=16, samples_per_pixel=32
-    )
+    dataset = capture(load_luminaire(name), tmp_path, views=2, resolution=16, spp=32)
     views = list(dataset.views())
     assert max(view.radiance.max() for view in views) > 0
     for view in views:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from lumitree.asset.light_field import MAX_DEPTH, LightField, TracedPaths, make_light_field
 from lumitree.core.executor import run_tasks
-from lumitree.core.octahedral import intensity_of_histogram, own_solid_angles, solid_angles
+from lumitree.core.octahedral import bin_solid_angles, intensity_of_histogram, solid_angles
 from lumitree.core.photometry import luminance
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
@@ -37,7 +37,7 @@ from lumitree.trace.histograms import (
     bin_rays,
     cell_codes,
 )
-from lumitree.trace.light_field_config import LEAST_DEPTH, LightFieldFitConfig
+from lumitree.trace.light_field_config import LEAST_DEPTH, LightFieldConfig
 from lumitree.trace.light_paths import LampRays, LightPaths, as_rows
 from lumitree.trace.segments import EndingConfig, EndingSegments, bin_segments
 
@@ -56,9 +56,10 @@ _LIMITS = ((0.9, 800), (1.0, 6000))
 
 def bake_light_field(
     luminaire: Luminaire,
-    config: LightFieldFitConfig,
+    config: LightFieldConfig,
     folder: Path,
     workers: LampWorkers | None = None,
+    seed: int = 0,
 ) -> LightField:
     """Estimate the light field of a luminaire, and its noise from the batches' spread.
 
@@ -66,15 +67,16 @@ def bake_light_field(
 
     Args:
         luminaire: what is baked.
-        config: how. Equal settings give equal fields.
+        config: how. Equal settings and seeds give equal fields.
         folder: where the field is kept; it is returned if an equal call left it there.
         workers: what traces the light paths; the field is the same. Default: this process.
+        seed: root seed of all random numbers.
 
     Raises:
         LumitreeError: no light leaves the luminaire, a path's flux is NaN or infinite, or a worker
             is lost.
     """
-    saved = SavedLightField(folder, luminaire, config)
+    saved = SavedLightField(folder, luminaire, config, seed)
     if (field := saved.load()) is not None:
         return field
     depth = grid_depth(luminaire) if config.depth is None else config.depth
@@ -84,7 +86,7 @@ def bake_light_field(
     by_direction = []
     with (
         progress(f"light of {luminaire.name}", batches) as advance,
-        path_batches(luminaire, config, depth, workers) as traced_batches,
+        path_batches(luminaire, config, depth, seed, workers) as traced_batches,
     ):
         for batch in traced_batches:
             rays, segments = _divided(batch.leaving, batches), batch.ending
@@ -95,18 +97,18 @@ def bake_light_field(
             flux = luminance(batch.leaving.flux.astype(np.float64).T)
             by_direction.append(np.bincount(rays.bins, flux, config.resolution**2))
             advance(1)
-    check_output(luminaire, np.sum(by_direction, axis=1), config.seed)
+    check_output(luminaire, np.sum(by_direction, axis=1), seed)
     traced = TracedPaths(
         count=batches * config.batch,
-        seeds=(config.seed,),
+        seeds=(seed,),
         luminaire=luminaire.fingerprint,
-        noise=relative_noise(np.array(by_direction) / own_solid_angles(config.resolution)),
+        noise=relative_noise(np.array(by_direction) / bin_solid_angles(config.resolution)),
     )
     flux, bent = leaving.flux, leaving.bent
     intensity = intensity_of_histogram(flux)
     bent = intensity * np.divide(bent, flux, out=bent, where=flux > 0)
     field = make_light_field(leaving.cells, intensity, depth, traced, bent=bent)
-    field = dataclasses.replace(field, inside=light_inside(field, ending, config.seed))
+    field = dataclasses.replace(field, inside=light_inside(field, ending, seed))
     saved.save(field)
     return field
 
@@ -140,21 +142,26 @@ class PathBatch:
     ending: BinnedSegments
 
 
-def num_batches(config: LightFieldFitConfig) -> int:
+def num_batches(config: LightFieldConfig) -> int:
     """Number of batches of a light field."""
     return -(-config.paths // config.batch)
 
 
 @contextlib.contextmanager
 def path_batches(
-    luminaire: Luminaire, config: LightFieldFitConfig, depth: int, workers: LampWorkers | None
+    luminaire: Luminaire,
+    config: LightFieldConfig,
+    depth: int,
+    seed: int,
+    workers: LampWorkers | None,
 ) -> Iterator[Iterator[PathBatch]]:
     """Context with all batches of a light field, in order; equal with and without workers."""
     if workers is None:
         rays = LampRays(luminaire)
-        yield (_traced(rays, config, depth, step) for step in range(num_batches(config)))
+        yield (_traced(rays, config, depth, seed, step) for step in range(num_batches(config)))
         return
-    tasks = [(workers.luminaire, config, depth, step) for step in range(num_batches(config))]
+    steps = range(num_batches(config))
+    tasks = [(workers.luminaire, config, depth, seed, step) for step in steps]
     with run_tasks(
         workers.executor,
         _traced_by_worker,
@@ -167,9 +174,11 @@ def path_batches(
         yield (batch for _, batch in results)
 
 
-def _traced(rays: LampRays, config: LightFieldFitConfig, depth: int, step: int) -> PathBatch:
+def _traced(
+    rays: LampRays, config: LightFieldConfig, depth: int, seed: int, step: int
+) -> PathBatch:
     paths_seed, reservoir_seed, places_seed = (
-        stream.seed(config.seed)
+        stream.seed(seed)
         for stream in (
             SeedStream(Purpose.LIGHT_FIELD, step),
             SeedStream(Purpose.ENDING, step, EndingDraw.SEGMENTS),
@@ -188,10 +197,10 @@ def _traced(rays: LampRays, config: LightFieldFitConfig, depth: int, step: int) 
 
 
 def _traced_by_worker(
-    luminaire: bytes, config: LightFieldFitConfig, depth: int, step: int
+    luminaire: bytes, config: LightFieldConfig, depth: int, seed: int, step: int
 ) -> PathBatch:
     """The task of a worker: one batch."""
-    return _traced(_rays(luminaire), config, depth, step)
+    return _traced(_rays(luminaire), config, depth, seed, step)
 
 
 @functools.lru_cache(maxsize=1)

@@ -13,7 +13,7 @@ from lumitree.asset.light_field import LightField
 from lumitree.core.files import WriteError
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.lamp.luminaire import Luminaire
-from lumitree.trace.light_field_config import LightFieldFitConfig
+from lumitree.trace.light_field_config import LightFieldConfig
 
 LIGHT_FIELD_STATE = "light.lumitree"
 
@@ -24,8 +24,10 @@ class SavedLightField:
     In place of the luminaire's name it has a digest of the luminaire and of the setting.
     """
 
-    def __init__(self, folder: Path, luminaire: Luminaire, config: LightFieldFitConfig) -> None:
-        members = [__version__, luminaire.fingerprint, asdict(config)]
+    def __init__(
+        self, folder: Path, luminaire: Luminaire, config: LightFieldConfig, seed: int
+    ) -> None:
+        members = [__version__, luminaire.fingerprint, asdict(config), seed]
         record = json.dumps(members, sort_keys=True)
         self._digest = hashlib.sha256(record.encode()).hexdigest()
         self._path, self._frame = folder / LIGHT_FIELD_STATE, luminaire.frame

@@ -99,8 +99,8 @@ class NerfSH(nnx.Module):
 class CoarseAndFine(nnx.Module):
     """The two networks of NeRF; the weights of `coarse` determine where `fine` is sampled."""
 
-    def __init__(self, config: TrainConfig, initial_emission: float) -> None:
-        rngs = nnx.Rngs(config.seed)
+    def __init__(self, config: TrainConfig, initial_emission: float, seed: int) -> None:
+        rngs = nnx.Rngs(seed)
         self.coarse = NerfSH(config, initial_emission, rngs)
         self.fine = NerfSH(config, initial_emission, rngs)
 

@@ -124,15 +124,17 @@ class TrainState(NamedTuple):
     moments: Any
 
 
-def initial_state(config: TrainConfig, initial_emission: float) -> tuple[nnx.GraphDef, TrainState]:
+def initial_state(
+    config: TrainConfig, initial_emission: float, seed: int = 0
+) -> tuple[nnx.GraphDef, TrainState]:
     """The structure of the networks, and the state before the first step (see `NerfSH`)."""
-    graph, weights = nnx.split(CoarseAndFine(config, initial_emission))
+    graph, weights = nnx.split(CoarseAndFine(config, initial_emission, seed))
     params = nnx.to_pure_dict(weights)
     return graph, TrainState(jnp.zeros((), jnp.int32), params, _optimizer(config).init(params))
 
 
 def make_step(
-    config: TrainConfig, graph: nnx.GraphDef, max_radiance: float
+    config: TrainConfig, graph: nnx.GraphDef, max_radiance: float, seed: int = 0
 ) -> Callable[[TrainState, Batch, Occupancy], tuple[TrainState, jax.Array, jax.Array]]:
     """The jitted training step, which returns the next state, the loss and the gradient norm.
 
@@ -156,9 +158,7 @@ def make_step(
             value = jax.value_and_grad(loss_of)(state.params, occupancy, *chunk)
             return jax.tree.map(jnp.add, total, value), None
 
-        keys = jax.random.split(
-            jax.random.fold_in(jax.random.key(config.seed), state.step), num_chunks
-        )
+        keys = jax.random.split(jax.random.fold_in(jax.random.key(seed), state.step), num_chunks)
         chunks = jax.tree.map(lambda x: x.reshape(num_chunks, -1, *x.shape[1:]), batch)
         chunks = divided(mesh, chunks)
         zero = (jnp.zeros(()), jax.tree.map(jnp.zeros_like, state.params))

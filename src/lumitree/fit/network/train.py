@@ -34,6 +34,7 @@ from lumitree.core.frames import LocalFrame, file_keys, file_members
 from lumitree.core.interruption import deferred_interrupt
 from lumitree.core.progress import progress
 from lumitree.core.reading import Record, label, parse_json, read_bytes
+from lumitree.core.seeds import check_seed
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.fit.network.config import TrainConfig
 from lumitree.fit.network.rays import Batch, Occupancy, RaySet, load_rays, save_occupancy
@@ -64,6 +65,7 @@ class RunRecord:
     """Settings and dataset of a run that extraction needs in addition to the weights."""
 
     config: TrainConfig
+    seed: int
     dataset: str
     fingerprint: str
     luminaire: str
@@ -73,6 +75,7 @@ class RunRecord:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "luminaire", label(self.luminaire))
+        check_seed(self.seed)
         if not 0 < self.max_radiance < float("inf"):
             raise LumitreeError(f"max_radiance is {self.max_radiance}; expected a positive number")
 
@@ -108,6 +111,7 @@ def _parse(data: Record) -> RunRecord:
         raise LumitreeError(f"config: {shown(error, 200)}") from None
     return RunRecord(
         config=config,
+        seed=data.integer("seed"),
         dataset=data.text("dataset", _MAX_PATH),
         fingerprint=data.label("fingerprint"),
         luminaire=data.label("luminaire"),
@@ -227,6 +231,7 @@ def train(
     dataset_path: str | os.PathLike[str],
     run_path: str | os.PathLike[str],
     config: TrainConfig,
+    seed: int = 0,
     resume: bool = False,
     stop_after: int | None = None,
 ) -> TrainResult:
@@ -236,7 +241,8 @@ def train(
         dataset_path: folder made by `lumitree capture`.
         run_path: folder of the run. It must be missing, empty, or that of a run without a
             checkpoint, which is then started again. With `resume` it may be that of any run.
-        config: settings; with `resume` they must be those of the run.
+        config: settings; with `resume` they must equal the settings of the run.
+        seed: seed of the initial weights, the batches and the jitter; with `resume` the same.
         resume: continue from the newest checkpoint, if there is one. The result is that of an
             uninterrupted run.
         stop_after: stop and save after this number of steps.
@@ -248,11 +254,12 @@ def train(
     """
     dataset, folder = Dataset.open(dataset_path), Path(run_path)
     made = not folder.exists()
-    _check_folder(folder, config, resume)
+    _check_folder(folder, config, seed, resume)
     rays, occupancy = load_rays(dataset, config.opacity_kind, config.skip_empty)
     manifest = dataset.manifest
     record = RunRecord(
         config,
+        seed,
         str(dataset.folder.resolve()),
         manifest.fingerprint,
         manifest.luminaire,
@@ -261,7 +268,7 @@ def train(
     )
     with exclusive(folder):
         # Again, since another process may have worked in the folder meanwhile.
-        _check_folder(folder, config, resume)
+        _check_folder(folder, config, seed, resume)
         try:
             resume = resume and has_checkpoint(folder)
             return _train(folder, record, rays, occupancy, resume, stop_after)
@@ -280,7 +287,7 @@ def _train(
 ) -> TrainResult:
     """Train in a folder that no other process uses; with `resume`, from its newest checkpoint."""
     config = record.config
-    graph, state = initial_state(config, rays.typical_part)
+    graph, state = initial_state(config, rays.typical_part, record.seed)
     history: list[dict[str, float]] = []
     if resume:
         _check_same_data(RunRecord.load(folder), record)
@@ -293,7 +300,7 @@ def _train(
     if stop_after is not None:
         last = min(last, int(state.step) + stop_after)
     with open_checkpoints(folder) as checkpoints:
-        loop = _Loop(folder, rays, occupancy, config, graph, checkpoints, history)
+        loop = _Loop(folder, rays, occupancy, record, graph, checkpoints, history)
         return loop.run(state, last)
 
 
@@ -305,16 +312,17 @@ class _Loop:
         folder: Path,
         rays: RaySet,
         occupancy: Occupancy,
-        config: TrainConfig,
+        record: RunRecord,
         graph: nnx.GraphDef,
         checkpoints: ocp.CheckpointManager,
         history: list[dict[str, float]],
     ) -> None:
-        self.folder, self.rays, self.config = folder, rays, config
+        config = record.config
+        self.folder, self.rays, self.config, self.seed = folder, rays, config, record.seed
         self.checkpoints, self.history = checkpoints, history
         self.held_out = rays.held_out()
         self.occupancy = jax.device_put(occupancy, state_sharding(config))
-        self.step = make_step(config, graph, rays.max_radiance)
+        self.step = make_step(config, graph, rays.max_radiance, record.seed)
         self.evaluate = make_evaluation(config, graph, rays.max_radiance)
         self.earlier = history[-1]["seconds"] if history else 0.0
         self.seconds = self.earlier
@@ -355,7 +363,7 @@ class _Loop:
         return TrainResult(done, self.seconds, quality, float(black), rate, interrupted.number)
 
     def _draw(self, step: int) -> Batch:
-        return self.rays.draw(self.config.seed, step, self.config.rays_per_batch)
+        return self.rays.draw(self.seed, step, self.config.rays_per_batch)
 
     def _check(self, done: int) -> float:
         """The last loss; refuses losses since the last check that are not finite."""
@@ -390,7 +398,7 @@ class _Loop:
         save_checkpoint(self.folder, self.checkpoints, done, state)
 
 
-def _check_folder(folder: Path, config: TrainConfig, resume: bool) -> None:
+def _check_folder(folder: Path, config: TrainConfig, seed: int, resume: bool) -> None:
     """Refuse, before any work, a folder that cannot be used."""
     if not folder.exists() and resume:
         raise LumitreeError(f"{folder} does not exist: nothing to resume")
@@ -404,7 +412,9 @@ def _check_folder(folder: Path, config: TrainConfig, resume: bool) -> None:
         )
     if not resume:
         return
-    found, wanted = dataclasses.asdict(RunRecord.load(folder).config), dataclasses.asdict(config)
+    record = RunRecord.load(folder)
+    found = dataclasses.asdict(record.config) | {"seed": record.seed}
+    wanted = dataclasses.asdict(config) | {"seed": seed}
     changed = [f"{key} {found[key]} -> {wanted[key]}" for key in found if found[key] != wanted[key]]
     if changed:
         raise LumitreeError(

@@ -1,6 +1,6 @@
 """The octree of a lamp, from traced rays: estimation and refinement.
 
-`bake` puts the parts together, and `config.OctreeFitConfig` has the settings of each of them, whose
+`bake` puts the parts together, and `config.OctreeConfig` has the settings of each of them, whose
 evidence is in docs/decisions/octree-fit.md.
 
     rays            `rays.RaySource` is the interface; `rays.TracedRays`, and for views

@@ -22,7 +22,7 @@ from lumitree.core.progress import progress
 from lumitree.core.seeds import MAX_SEED, Purpose, SeedStream
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.fit.octree.calibration import calibrate, flux_correction
-from lumitree.fit.octree.config import OctreeFitConfig
+from lumitree.fit.octree.config import OctreeConfig
 from lumitree.fit.octree.descent import Budget, Descent, HeldOut, Refiner, Score
 from lumitree.fit.octree.estimate import estimate, grow
 from lumitree.fit.octree.leaf_field import LEAVES, LeafField
@@ -31,8 +31,7 @@ from lumitree.fit.octree.saved_state import StateFile
 from lumitree.fit.octree.stored import StoredRays
 from lumitree.lamp.dataset import Dataset
 from lumitree.lamp.luminaire import Luminaire
-from lumitree.octree.build import build_children
-from lumitree.octree.leaves import leaf_cells
+from lumitree.octree.build import build_children, leaf_cells
 
 # Part of the light above L_max from which images of the field show what makes up for it.
 _MUCH_BEYOND = 1 / 3
@@ -54,34 +53,39 @@ class OctreeFitResult:
     stopped_by: int | None
 
 
-def bake(luminaire: Luminaire, config: OctreeFitConfig, folder: Path) -> OctreeFitResult:
+def bake(
+    luminaire: Luminaire, config: OctreeConfig, folder: Path, seed: int = 0
+) -> OctreeFitResult:
     """Bake a luminaire; continues an interrupted bake whose state is in `folder`.
 
     Args:
         luminaire: what is baked.
         config: how.
         folder: where the state is kept while it runs.
+        seed: root seed of all random numbers.
 
     Raises:
         LumitreeError: no light leaves the luminaire, or `folder` holds the state of another bake.
     """
-    source = _traced_rays(luminaire, config)
+    source = _traced_rays(luminaire, config, seed)
 
     def start() -> tuple[LeafField, float]:
         max_radiance = config.max_radiance.headroom * _visible_radiance(source, config)
         return _first_field(source, config, max_radiance), max_radiance
 
-    return _run(source, config, folder, "bake", start)
+    return _run(source, config, folder, seed, "bake", start)
 
 
-def bake_stored(dataset: Dataset, config: OctreeFitConfig, folder: Path) -> OctreeFitResult:
+def bake_stored(
+    dataset: Dataset, config: OctreeConfig, folder: Path, seed: int = 0
+) -> OctreeFitResult:
     """Bake the views of a dataset; otherwise as `bake`.
 
     Raises:
         LumitreeError: the views are black, too few or have nothing in common, or `folder` holds the
             state of another bake.
     """
-    source = StoredRays(dataset, config.views.held_out_stride, config.seed)
+    source = StoredRays(dataset, config.views.held_out_stride, seed)
     rate = config.views.coefficient_rate_factor * config.refine.coefficient_rate
     descent = dataclasses.replace(config.refine, coefficient_rate=rate)
     config = dataclasses.replace(config, refine=descent)
@@ -92,20 +96,21 @@ def bake_stored(dataset: Dataset, config: OctreeFitConfig, folder: Path) -> Octr
             raise LumitreeError(f"no part of the box is lit in every view of {dataset.folder}")
         return field, config.max_radiance.headroom * source.max_radiance()
 
-    return _run(source, config, folder, "bake", start)
+    return _run(source, config, folder, seed, "bake", start)
 
 
 def refine(
-    asset: Asset, luminaire: Luminaire, config: OctreeFitConfig, folder: Path
+    asset: Asset, luminaire: Luminaire, config: OctreeConfig, folder: Path, seed: int = 0
 ) -> OctreeFitResult:
     """Continue from an asset, however it was made, with rays of its luminaire.
 
     Args:
         asset: where to start; its law and l_max stay, its leaves may be split.
         luminaire: the luminaire that it was baked from.
-        config: how; its depth, l_max and law are replaced by the asset's. The rays depend on its
-            seed and on the asset, so that they are not those that the asset was made with.
+        config: how; its depth, l_max and law are replaced by the asset's.
         folder: where the state is kept while it runs.
+        seed: root seed. The rays depend on the asset too, and differ from the rays that it was
+            made with.
 
     Raises:
         LumitreeError: the bounding boxes of asset and luminaire differ, or `folder` holds the state
@@ -120,13 +125,10 @@ def refine(
             "refine an asset with its own luminaire"
         )
     config = dataclasses.replace(
-        config,
-        tree_depth=asset.tree_depth,
-        l_max=asset.l_max,
-        law=asset.law,
-        seed=_continued_seed(asset, config.seed),
+        config, tree_depth=asset.tree_depth, l_max=asset.l_max, law=asset.law
     )
-    source = _traced_rays(luminaire, config)
+    seed = _continued_seed(asset, seed)
+    source = _traced_rays(luminaire, config, seed)
 
     def start() -> tuple[LeafField, float]:
         # Refuses a luminaire without light.
@@ -135,15 +137,15 @@ def refine(
         field = _field(config, source, *leaves, asset.density, asset.coefficients)
         return field, asset.max_radiance
 
-    return _run(source, config, folder, "refine", start)
+    return _run(source, config, folder, seed, "refine", start)
 
 
 def _run(
-    source: RaySource, config: OctreeFitConfig, folder: Path, verb: str, start: Start
+    source: RaySource, config: OctreeConfig, folder: Path, seed: int, verb: str, start: Start
 ) -> OctreeFitResult:
     """Start, or continue from the state in `folder`; spend the budget and make the asset."""
     name = source.subject.name
-    state_file = StateFile(folder, source.subject, config)
+    state_file = StateFile(folder, source.subject, config, seed)
     saved = state_file.load()
     if saved is None:
         budget = Budget(config, 0.0, 0)
@@ -208,9 +210,9 @@ def make_asset(field: LeafField, subject: Subject, max_radiance: float) -> Asset
     )
 
 
-def _traced_rays(luminaire: Luminaire, config: OctreeFitConfig) -> TracedRays:
+def _traced_rays(luminaire: Luminaire, config: OctreeConfig, seed: int) -> TracedRays:
     level = min(config.tree_depth, config.ray_spacing_level)
-    return TracedRays(luminaire, spacing=2 / (1 << level), seed=config.seed)
+    return TracedRays(luminaire, spacing=2 / (1 << level), seed=seed)
 
 
 def _continued_seed(asset: Asset, seed: int) -> int:
@@ -219,7 +221,7 @@ def _continued_seed(asset: Asset, seed: int) -> int:
     return SeedStream(Purpose.CONTINUATION, checksum).seed(seed) & MAX_SEED
 
 
-def _visible_radiance(source: TracedRays, config: OctreeFitConfig) -> float:
+def _visible_radiance(source: TracedRays, config: OctreeConfig) -> float:
     """`TracedRays.max_radiance` of pixels as wide as the smallest leaves; refuses 0."""
     max_radiance = source.max_radiance(2 / (1 << config.tree_depth), config.max_radiance)
     if not max_radiance > 0:
@@ -231,7 +233,7 @@ def _visible_radiance(source: TracedRays, config: OctreeFitConfig) -> float:
     return max_radiance
 
 
-def _first_field(source: TracedRays, config: OctreeFitConfig, max_radiance: float) -> LeafField:
+def _first_field(source: TracedRays, config: OctreeConfig, max_radiance: float) -> LeafField:
     level = min(config.tree_depth, config.estimate.max_level)
     cells = grow(source, level, config.estimate)
     if not len(cells):
@@ -246,7 +248,7 @@ def _first_field(source: TracedRays, config: OctreeFitConfig, max_radiance: floa
     return field
 
 
-def _hull_field(source: StoredRays, config: OctreeFitConfig) -> LeafField:
+def _hull_field(source: StoredRays, config: OctreeConfig) -> LeafField:
     """The visual hull of stored views, with equal leaves."""
     views = config.views
     level = min(config.tree_depth, views.hull_level)
@@ -257,13 +259,13 @@ def _hull_field(source: StoredRays, config: OctreeFitConfig) -> LeafField:
     return _field(config, source, cells, np.full(len(cells), level), density, coefficients)
 
 
-def _empty_field(config: OctreeFitConfig, source: RaySource) -> LeafField:
+def _empty_field(config: OctreeConfig, source: RaySource) -> LeafField:
     none = np.zeros((0, 3), np.int64)
     return _field(config, source, none, none[:, 0], none[:, 0], np.zeros(0))
 
 
 def _field(
-    config: OctreeFitConfig,
+    config: OctreeConfig,
     source: RaySource,
     cells: NDArray[np.int64],
     levels: NDArray[np.int64],

@@ -11,7 +11,6 @@ from typing import Any
 
 from lumitree.core.arguments import MAX_RAYS, MAX_SECONDS, check_choice, check_count, check_range
 from lumitree.core.harmonics import MAX_L
-from lumitree.core.seeds import check_seed
 from lumitree.core.transmittance import LAWS, Law
 from lumitree.errors import LumitreeError
 from lumitree.octree.build import MAX_TREE_DEPTH, check_tree_depth
@@ -288,18 +287,37 @@ class ScheduleConfig(_Settings):
     save_time_factor: float = _setting(50.0, (0.0, 1e6))
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class OctreeConfig(_Settings):
-    """Settings of the octree fit that do not depend on what a bake is asked for.
+    """Settings of the octree fit.
 
     Attributes:
+        time: budget of the radiance field in seconds, 0.001 to 31,536,000 (one year). The first
+            estimate, about 20 s on 2 CPU cores, is always completed. None: no limit; `rays` is
+            then needed.
+        rays: budget of rays for the gradient descent, 1 to 2⁵⁰. The fit ends at whichever of
+            `time` and `rays` is reached first. None: no limit.
+        tree_depth: level of the smallest leaves, 1 to 10. Their side is the longest side of the
+            bounding box divided by 2^tree_depth.
+        l_max: highest band of the spherical harmonics, 0 to 4. Each leaf stores (l_max + 1)²
+            coefficients per RGB channel.
+        law: transmittance T as a function of the optical depth τ: "exponential", exp(-τ), or
+            "linear", max(0, 1 - τ).
         ray_spacing_level: neighbouring rays of a tile are as far apart as leaves of this level, or
             of the smallest leaves if those are larger. Closer rays show a leaf from too few
             directions; rays farther apart are slower to trace.
         max_radiance, estimate, views, calibration, flux, held_out, refine, split, schedule:
-            settings of the parts of the bake.
+            settings of the parts of the fit.
+
+    Raises:
+        LumitreeError: a setting is out of range, or neither `time` nor `rays` is given.
     """
 
+    time: float | None = 285.0
+    rays: int | None = None
+    tree_depth: int = 8
+    l_max: int = 2
+    law: Law = "exponential"
     ray_spacing_level: int = _setting(6, _LEVEL)
     max_radiance: MaxRadianceConfig = MaxRadianceConfig()
     estimate: EstimateConfig = EstimateConfig()
@@ -311,36 +329,11 @@ class OctreeConfig(_Settings):
     split: SplitConfig = SplitConfig()
     schedule: ScheduleConfig = ScheduleConfig()
 
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class OctreeFitConfig(OctreeConfig):
-    """An octree fit.
-
-    Attributes:
-        tree_depth: level of the smallest leaves, 1 to 10.
-        l_max: highest band of the spherical harmonics, 0 to 4.
-        law: transmittance law.
-        time: budget of time, 0.001 s to one year; None for no limit.
-        rays: budget of rays of the descent, 1 to 2**50; None for no limit.
-        seed: root seed of all random numbers, 0 to 2**31 - 1.
-
-    Raises:
-        LumitreeError: a setting is out of range, or neither `time` nor `rays` is given.
-    """
-
-    tree_depth: int = 8
-    l_max: int = 2
-    law: Law = "exponential"
-    time: float | None = 285.0
-    rays: int | None = None
-    seed: int = 0
-
     def __post_init__(self) -> None:
         super().__post_init__()
         check_tree_depth(self.tree_depth)
         check_count("l_max", self.l_max, 0, MAX_L)
         check_choice("law", self.law, LAWS)
-        check_seed(self.seed)
         if self.time is None and self.rays is None:
             raise LumitreeError("a bake needs a budget; give it a time or a number of rays")
         if self.time is not None:

@@ -32,7 +32,7 @@ from lumitree.fit.octree.calibration import calibrate
 from lumitree.fit.octree.config import (
     TILE_RAYS,
     HeldOutConfig,
-    OctreeFitConfig,
+    OctreeConfig,
     RefineConfig,
     SplitConfig,
 )
@@ -326,7 +326,7 @@ class Budget:
         reserved: seconds that are kept for what follows the descent.
     """
 
-    def __init__(self, config: OctreeFitConfig, seconds: float, rays: int) -> None:
+    def __init__(self, config: OctreeConfig, seconds: float, rays: int) -> None:
         self._config, self._earlier, self.rays = config, seconds, rays
         self._start = time.monotonic()
         self.reserved = 0.0
@@ -363,7 +363,7 @@ class Descent:
         max_radiance: float,
         held_out: HeldOut,
         budget: Budget,
-        config: OctreeFitConfig,
+        config: OctreeConfig,
         state_file: StateFile,
     ) -> None:
         self._refiner, self._source, self._max_radiance = refiner, source, max_radiance

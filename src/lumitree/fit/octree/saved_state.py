@@ -13,7 +13,7 @@ from lumitree.core.files import WriteError, atomic_path
 from lumitree.core.harmonics import num_coefficients
 from lumitree.core.reading import expect, expect_arrays, read_arrays
 from lumitree.errors import LumitreeError, LumitreeWarning
-from lumitree.fit.octree.config import OctreeFitConfig
+from lumitree.fit.octree.config import OctreeConfig
 from lumitree.fit.octree.leaf_field import LeafField, padded_width
 from lumitree.fit.octree.rays import Subject
 
@@ -42,8 +42,8 @@ class StateFile:
     A state is only continued with equal settings, except that the budget may differ.
     """
 
-    def __init__(self, folder: Path, subject: Subject, config: OctreeFitConfig) -> None:
-        settings = dataclasses.asdict(config)
+    def __init__(self, folder: Path, subject: Subject, config: OctreeConfig, seed: int = 0) -> None:
+        settings = dataclasses.asdict(config) | {"seed": seed}
         del settings["time"], settings["rays"]
         record = {"version": _VERSION, "fingerprint": subject.fingerprint, **settings}
         self._path, self._record = folder / STATE, json.dumps(record, sort_keys=True)
@@ -109,7 +109,7 @@ class StateFile:
                 )
 
 
-def _check(arrays: dict[str, NDArray[Any]], config: OctreeFitConfig) -> None:
+def _check(arrays: dict[str, NDArray[Any]], config: OctreeConfig) -> None:
     """Refuse arrays that are missing, or have a wrong type, shape or range."""
     terms = num_coefficients(config.l_max)
     leaves, best = (arrays.get(name, np.zeros(0)).shape[:1] for name in ("levels", "best_levels"))

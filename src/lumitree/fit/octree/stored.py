@@ -46,7 +46,7 @@ class StoredRays:
     def subject(self) -> Subject:
         """The luminaire that the views show; another capture of it is another subject."""
         of = self._manifest
-        captured = [of.fingerprint, of.split, of.resolution, of.samples_per_pixel, of.path_depth]
+        captured = [of.fingerprint, of.split, of.resolution, of.spp, of.path_depth]
         captured += [[frame.file, frame.halton_index] for frame in of.frames]
         fingerprint = hashlib.sha256(json.dumps(captured).encode()).hexdigest()
         return Subject(of.luminaire, fingerprint, of.local_frame)

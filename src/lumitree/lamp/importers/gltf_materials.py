@@ -415,7 +415,7 @@ class Materials:
     def _normal_map(self, layers: Layers, mirrored: bool) -> Texture | None:
         """Normals for the tangent frame that Mitsuba builds: along u, and across it.
 
-        The second axis of glTF's frame points up in the image. That of Mitsuba's frame does so
+        The second axis of glTF's frame points up in the image. Mitsuba's second axis does so
         too, but points down where the texture coordinates are mirrored. A rotated texture rotates
         both axes of glTF's frame.
         """
