@@ -373,7 +373,7 @@ def parts_of_ending(
 ) -> NDArray[np.floating]:
     """J in four bins over its mean in them, so that I + J is as even as it can be.
 
-    What a cell emits changes little within a few degrees, while surfaces cut light off sharply: it
+    The light of a cell changes little within a few degrees, while surfaces cut it off sharply: it
     ends in the directions in which it does not leave.
 
     Args:
