@@ -106,7 +106,7 @@ def lux_below(distance, placement, unit="m"):
         "floor": {"type": "sphere", "center": [0, -2 * distance, 0], "radius": distance / 9},
     }
     found = lumitree.illuminance(
-        room, [placement], planes=[plane], unit=unit, direct_only=True, progress=None
+        room, [placement], planes=[plane], unit=unit, direct=True, progress=None
     )
     return float(found.total[0])
 

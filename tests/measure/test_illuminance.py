@@ -88,9 +88,11 @@ def placed(**options):
 def received(mi, things, placements, points, normals, samples=1 << 15):
     """Illuminance by next-event estimation and rays of a BSDF, and its standard error."""
     from benchmarks.inside_box.received import received_irradiance
-    from lumitree.rendering.scene import load_room, open_placements, place_luminaires
+    from lumitree.rendering.scene import load_without_camera, open_placements, place_luminaires
 
-    scene = place_luminaires(load_room(room(mi, **things))[0], open_placements(placements))
+    scene = place_luminaires(
+        load_without_camera(room(mi, **things))[0], open_placements(placements)
+    )
     normals = np.broadcast_to(normals, np.shape(points))
     found = [
         luminance(received_irradiance(scene, points, normals, samples, seed)) for seed in range(8)
@@ -102,7 +104,7 @@ POINTS = np.array([[0, 0, 0], [1.2, 0.3, 0.4], [-0.8, 1.5, 0.6], [0.3, 1.75, 0.1
 
 
 def test_a_lamp_is_summed_as_paths_receive_it(mi):
-    result = lumitree.illuminance(room(mi), [placed()], direct_only=True, **at(*POINTS))
+    result = lumitree.illuminance(room(mi), [placed()], direct=True, **at(*POINTS))
     expected, error = received(mi, {}, [placed()], POINTS, [0, 1, 0])
     assert (np.abs(result.direct - expected) < 4 * np.hypot(error, result.direct_error)).all()
     assert (result.direct_error < 0.01 * result.direct).all()
@@ -122,7 +124,7 @@ def test_shadows_of_a_lamp_are_sampled(mi):
     expected, error = received(mi, {"plate": plate}, [placed()], points, [0, 1, 0])
     allowed = 4 * np.hypot(error, result.direct_error) + 1e-9
     assert (np.abs(result.direct - expected) < allowed).all()
-    free = lumitree.illuminance(room(mi), [placed()], direct_only=True, **at(*points)).direct
+    free = lumitree.illuminance(room(mi), [placed()], direct=True, **at(*points)).direct
     assert 0.1 * free[1] < result.direct[1] < 0.9 * free[1]
     assert result.direct[2] == result.direct[3] == 0
 
@@ -142,7 +144,7 @@ def test_a_full_shadow_is_black_where_all_samples_are_equal(mi):
     plate = {"type": "rectangle", "to_world": mi.ScalarTransform4f().translate([0, 20, 0]).scale(9)}
     plate["to_world"] = plate["to_world"] @ mi.ScalarTransform4f().rotate([1, 0, 0], 90)
     result = lumitree.illuminance(
-        room(mi, plate=plate), [even(100, (0, 40, 0))], direct_only=True,
+        room(mi, plate=plate), [even(100, (0, 40, 0))], direct=True,
         **at([0, 0, 0], [0, 25, 0]),
     )  # fmt: skip
     assert result.direct[0] == 0
@@ -189,7 +191,7 @@ def test_a_floor_has_the_illuminance_that_its_image_shows(mi):
 @pytest.mark.slow
 def test_receivers_inside_the_box_get_its_light(mi):
     points = placed().at + np.array([[0.02, -0.01, 0.03], [0.05, 0.02, -0.03]])
-    result = lumitree.illuminance(room(mi), [placed()], direct_only=True, error=0.01, **at(*points))
+    result = lumitree.illuminance(room(mi), [placed()], direct=True, error=0.01, **at(*points))
     assert (result.direct > 0).any()
     # With something in the box, which shadows nothing.
     speck = {"type": "sphere", "radius": 1e-3, "center": [0.05, 2, 0.05]}
@@ -200,10 +202,10 @@ def test_receivers_inside_the_box_get_its_light(mi):
 @pytest.mark.parametrize(("unit", "factor", "lumens"), [("cm", 100, 800), ("mm", 1000, 1e5)])
 def test_lumens_of_a_lamp_in_a_scene_in_another_unit(mi, unit, factor, lumens):
     """The same image with all lengths so many times as large."""
-    one = lumitree.illuminance(room(mi), [placed(lumens=lumens)], direct_only=True, **at(*POINTS))
+    one = lumitree.illuminance(room(mi), [placed(lumens=lumens)], direct=True, **at(*POINTS))
     large = dataclasses.replace(placed(lumens=lumens), at=(0, 2 * factor, 0), size=0.3 * factor)
     other = lumitree.illuminance(
-        room(mi), [large], direct_only=True, unit=unit, **at(*(factor * POINTS))
+        room(mi), [large], direct=True, unit=unit, **at(*(factor * POINTS))
     )
     allowed = 4 * np.hypot(one.direct_error, other.direct_error)
     assert (np.abs(other.direct - one.direct) < allowed).all()
@@ -212,7 +214,7 @@ def test_lumens_of_a_lamp_in_a_scene_in_another_unit(mi, unit, factor, lumens):
 
 def test_normals_may_have_any_length(mi):
     one, *others = (
-        lumitree.illuminance(room(mi), [placed()], direct_only=True, **at(*POINTS, normal=normal))
+        lumitree.illuminance(room(mi), [placed()], direct=True, **at(*POINTS, normal=normal))
         for normal in ((0, 1, 0), (0, 1e-30, 0), (0, 1e30, 0))
     )
     assert one.direct.max() > 0
@@ -264,7 +266,7 @@ def test_surfaces_of_a_scene_are_covered_evenly(mi):
         "bsdf": BLACK,
     }
     result = lumitree.illuminance(
-        scene, surfaces=[lumitree.Surface("desk", 0.08)], error=EVERYTHING, direct_only=True
+        scene, surfaces=[lumitree.Surface("desk", 0.08)], error=EVERYTHING, direct=True
     )
     assert result.areas[0].count == 200
     assert result.normal == pytest.approx(np.tile([0, 1, 0], (200, 1)), abs=1e-6)
@@ -295,7 +297,7 @@ def test_surfaces_of_shapes_without_ids(mi, tmp_path, pattern, heights, count):
     path = tmp_path / "room.xml"
     path.write_text(ROOM)
     surface = lumitree.Surface(pattern, 0.2)
-    result = lumitree.illuminance(path, surfaces=[surface], error=EVERYTHING, direct_only=True)
+    result = lumitree.illuminance(path, surfaces=[surface], error=EVERYTHING, direct=True)
     assert [area.count for area in result.areas] == [count]
     assert set(result.position[:, 2].round(5)) == heights
 
@@ -383,7 +385,7 @@ def test_dark_points_of_a_room_whose_walls_face_outwards_count(mi, direct_only):
         "spot": spot,
     }
     plane = lumitree.Plane((0, 0, 0), extent=(1.6, 0.4), spacing=0.4)
-    result = lumitree.illuminance(scene, planes=[plane], error=EVERYTHING, direct_only=direct_only)
+    result = lumitree.illuminance(scene, planes=[plane], error=EVERYTHING, direct=direct_only)
     assert np.isnan(result.total).tolist() == [False, True, False, False]
     assert np.flatnonzero(result.direct > 0).tolist() == [3]
 
@@ -415,7 +417,7 @@ def test_light_by_rare_paths_is_found_beside_a_lamp(mi):
     """Whose light is the same in all samples, so that only the rare ones differ."""
     things, where = glow_in_glass(100)
     lamps = [even(4000, (0, 4, 0))]
-    steady = lumitree.illuminance(room(mi), lamps, direct_only=True, **where).direct
+    steady = lumitree.illuminance(room(mi), lamps, direct=True, **where).direct
     result = lumitree.illuminance(room(mi, **things), lamps, error=0.1, **where)
     found = result.total - steady
     assert found.mean() == pytest.approx(THROUGH_GLASS, rel=0.05)
@@ -435,10 +437,10 @@ def test_the_shadow_of_one_lamp_among_many_is_found(mi, count):
     }
     x, z = np.random.default_rng(1).uniform(-0.04, 0.04, (2, 60))
     where = at(*np.stack([x, 0 * x, z], axis=1))
-    free = lumitree.illuminance(room(mi), lamps, direct_only=True, **where).direct
+    free = lumitree.illuminance(room(mi), lamps, direct=True, **where).direct
     (middle,) = (lamp for lamp in lamps if lamp.at == (0, 3, 0))
-    shadowed = free - lumitree.illuminance(room(mi), [middle], direct_only=True, **where).direct
-    result = lumitree.illuminance(room(mi, plate=plate), lamps, direct_only=True, **where)
+    shadowed = free - lumitree.illuminance(room(mi), [middle], direct=True, **where).direct
+    result = lumitree.illuminance(room(mi, plate=plate), lamps, direct=True, **where)
     assert (np.abs(result.direct - shadowed) < 5 * result.direct_error).all()
     assert (result.direct_error < 0.021 * result.direct).all()
     assert result.direct.mean() == pytest.approx(shadowed.mean(), rel=0.008)
@@ -455,9 +457,7 @@ def test_errors_of_sums_over_lamps_are_not_small_by_chance(mi):
     where = at(*np.stack([x, 0 * x, z], axis=1))
 
     def found(error, seed):
-        return lumitree.illuminance(
-            room(mi), lamps, error=error, direct_only=True, seed=seed, **where
-        )
+        return lumitree.illuminance(room(mi), lamps, error=error, direct=True, seed=seed, **where)
 
     # Nothing shadows the lamps, so that the sums are all that varies.
     exact = found(0.003, 5)
@@ -477,9 +477,7 @@ def test_errors_of_points_by_a_lamp_are_not_those_of_points_in_its_box(mi):
     inside = np.stack([x, np.full(10, 1 - 0.9 * half), 0 * x], axis=1)
     below = np.stack([x, np.full(10, -1.0), 0 * x], axis=1)
     lamps = [lumitree.Placement(lamp(), at=(0, 1, 0), size=1.0)]
-    result = lumitree.illuminance(
-        room(mi), lamps, direct_only=True, **at(*inside, *below), error=0.2
-    )
+    result = lumitree.illuminance(room(mi), lamps, direct=True, **at(*inside, *below), error=0.2)
     assert (result.direct_error[10:] < 0.07 * result.direct[10:]).all()
     assert (result.direct_error[:10] > 0).all()
 

@@ -123,7 +123,7 @@ def lux(placement, point):
     floor = {"type": "sphere", "center": [0, -90, 0], "radius": 0.1}
     room = {"type": "scene", "floor": floor}
     found = lumitree.illuminance(
-        room, [placement], planes=[plane], direct_only=True, progress=None, error=0.01
+        room, [placement], planes=[plane], direct=True, progress=None, error=0.01
     )
     return float(found.total[0])
 

@@ -110,7 +110,7 @@ class Evaluation:
 def evaluate(
     asset: Asset | FilePath,
     target: "Asset | LuminaireLike",
-    sheet: FilePath | None = None,
+    output: FilePath | None = None,
     *,
     views: int = 8,
     resolution: int = 192,
@@ -137,7 +137,7 @@ def evaluate(
         target: the luminaire, in any form that `bake` takes, of which views are rendered first; or
             the folder of a dataset, whose views are used; or a photometric file, ray file or
             asset with the same bounding box.
-        sheet: path of the PNG file of the contact sheet. The irradiance in false colour is written
+        output: path of the PNG file of the contact sheet. The irradiance in false colour is written
             beside it, as sheet-irradiance.png for sheet.png. Default: no file is written.
         views: number of rendered views, 1 to 100,000. It does not apply to a dataset, nor do
             the next three.
@@ -162,9 +162,9 @@ def evaluate(
             are assets.
     """
     irradiance_sheet = None
-    if sheet is not None:
-        check_sheet_output(sheet)
-        irradiance_sheet = Path(sheet).with_stem(f"{Path(sheet).stem}-irradiance")
+    if output is not None:
+        check_sheet_output(output)
+        irradiance_sheet = Path(output).with_stem(f"{Path(output).stem}-irradiance")
         check_sheet_output(irradiance_sheet)
     check_count("views", views, 1, MAX_VIEWS)
     check_irradiance_paths(irradiance_paths)
@@ -193,8 +193,8 @@ def evaluate(
         with watch.stage("evaluate"):
             result = evaluate_views(baked.without_factors, dataset)
             png = draw_sheet(result.rows, result.max_radiance, title).png(settings)
-            if sheet is not None:
-                write_bytes(sheet, png)
+            if output is not None:
+                write_bytes(output, png)
         if lamp is not None and irradiance_paths > 0:
             with watch.stage("irradiance"):
                 irradiance = evaluate_irradiance(baked.without_factors, lamp, irradiance_paths)
@@ -208,7 +208,7 @@ def evaluate(
         spp=samples,
         views=result.views,
         asset=asset_json(baked, path),
-        sheet=None if sheet is None else Path(sheet),
+        sheet=None if output is None else Path(output),
         png=png,
         irradiance=None if irradiance is None else irradiance.report() | flux,
         irradiance_sheet=None if irradiance is None else irradiance_sheet,

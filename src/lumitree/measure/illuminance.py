@@ -137,7 +137,7 @@ def illuminance(
     normals: ArrayLike | None = None,
     error: float = 0.02,
     time: float | None = None,
-    direct_only: bool = False,
+    direct: bool = False,
     unit: float | str = "m",
     seed: int = 0,
     variant: str | None = None,
@@ -160,7 +160,7 @@ def illuminance(
         error: standard error of the total at each point that is enough, relative to the illuminance
             there or, if this is more, to a tenth of the mean of all points; 0.0001 to 1.
         time: after which no more light is sampled, s, 0.001 to 10⁷; default: no limit.
-        direct_only: whether to omit reflected light.
+        direct: whether to omit reflected light.
         unit: unit of length of the scene: "m", "cm", "mm", "in", "ft", or the metres in a unit. It
             counts for `Placement.lumens` and for photometric files, which state metres; the
             illuminance of all other lamps follows from radiance.
@@ -195,13 +195,18 @@ def illuminance(
     metres = metres_of(unit)
     load_rgb(variant)
     from lumitree.measure.illuminance_estimate import estimate
-    from lumitree.rendering.scene import load_room, open_placements, place_luminaires, scene_title
+    from lumitree.rendering.scene import (
+        load_without_camera,
+        open_placements,
+        place_luminaires,
+        scene_title,
+    )
 
     watch = Stopwatch()
     with reporting(progress):
         with watch.stage("load"):
             title = scene_title(scene)
-            room, shapes = load_room(scene)
+            room, shapes = load_without_camera(scene)
             chosen = [chosen_shapes(each, room, shapes, title) for each in surfaces]
             areas = collect(planes, surfaces, chosen, points, normals, seed)
             placed = open_placements(placements, metres)
@@ -218,7 +223,7 @@ def illuminance(
                 normal,
                 error=error,
                 seconds=time,
-                reflected=not direct_only,
+                reflected=not direct,
                 seed=seed,
             )
     figures, first = [], 0
@@ -235,7 +240,7 @@ def illuminance(
             )
     return IlluminanceResult(
         areas=figures,
-        direct_only=direct_only,
+        direct_only=direct,
         position=position,
         normal=normal / np.linalg.norm(normal, axis=1)[:, None],
         receivers=areas,

@@ -98,8 +98,8 @@ def gain_to(
 ) -> NDArray[np.float64]:
     """Factors [3] on R, G and B that give a lamp a luminous flux and a colour temperature.
 
-    The factor for a temperature is c(T) / c: c(T) is the colour of a black body in linear sRGB,
-    and c = watts / L that of the lamp's whole flux, both with luminance 1. So the luminous flux
+    The factor for a temperature is c(T) / c: c(T) is the colour of a black body in linear sRGB, and
+    c = watts / L the colour of the lamp's whole flux, both with luminance 1. So the luminous flux
     stays, and the whole flux has the chromaticity of the black body. It is a factor per channel;
     no chromatic adaptation is involved.
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
 import os
 import warnings
 from collections.abc import Mapping, Sequence
@@ -276,7 +278,7 @@ def _check_rgb(film: mi.Film, title: str) -> None:
     )
 
 
-def load_room(source: Any) -> tuple[mi.Scene, Sequence[SceneShape]]:
+def load_without_camera(source: Any) -> tuple[mi.Scene, Sequence[SceneShape]]:
     """A scene, as of `load_scene`, but it needs no camera; and its shapes as the file has them."""
     scene, _, shapes = _open(source, scene_title(source))
     return scene, shapes_of_scene(scene, shapes)
@@ -358,7 +360,7 @@ def set_film_width(scene: mi.Scene, width: int) -> None:
 
 
 def _warn_rounded(luminaires: Sequence[PlacedLuminaire]) -> None:
-    """Tell once where coordinates of a scene are too coarse for luminaires."""
+    """Warn once where coordinates of a scene are too coarse for luminaires."""
     far: list[tuple[float, float, PlacedLuminaire]] = []
     for placed in luminaires:
         box = placed.scene_from_box
@@ -379,7 +381,7 @@ def _warn_rounded(luminaires: Sequence[PlacedLuminaire]) -> None:
 
 
 def _warn_far(placed: PlacedLuminaire) -> None:
-    """Tell where `volpath` cannot resolve a baked luminaire."""
+    """Warn where `volpath` cannot resolve a baked luminaire."""
     box, name = placed.scene_from_box, placed.placement.name
     size = 2 * np.linalg.norm(box[:3, :3], axis=0).max()
     coordinate = np.abs(box[:3, 3]).max()
@@ -395,7 +397,7 @@ def _warn_far(placed: PlacedLuminaire) -> None:
 
 
 def _warn_unlit_by_volpath(scene: mi.Scene, placed: PlacedLuminaire) -> None:
-    """Tell of objects in a lamp's box, which `volpath` does not light."""
+    """Warn of objects in a lamp's box, which `volpath` does not light."""
     if holds_objects(scene.shapes(), placed.scene_from_box[None])[0]:
         warnings.warn(
             f"{placed.title}: an object of the room is inside its box, where volpath does not "
@@ -406,27 +408,67 @@ def _warn_unlit_by_volpath(scene: mi.Scene, placed: PlacedLuminaire) -> None:
 
 
 def _warn_unlit(scene: mi.Scene, luminaires: Sequence[PlacedLuminaire], sampling: Sampling) -> None:
-    """Tell of baked luminaires that do not light what is in their boxes."""
-    lacking = []
+    """Warn of baked luminaires that do not light objects in their boxes."""
+    causes = {}
     for placed in luminaires:
         asset = placed.asset
-        light_field = asset.light_field if isinstance(asset, Asset) else None
-        if asset is None:
-            continue
-        if light_field is None:
-            told = "is not lit: the asset has no light field; bake it with --parts light"
-        elif sampling == "uniform":
-            told = 'is not lit; use the sampling "emission"'
-        else:
-            continue
-        lacking.append((placed, told))
-    if not lacking:
+        if isinstance(asset, Asset) and asset.light_field is None:
+            causes[placed] = "the asset has no light field; bake it with --parts light"
+        elif asset is not None and sampling == "uniform":
+            causes[placed] = 'use the sampling "emission"'
+    if not causes:
         return
-    boxes = np.stack([placed.scene_from_box for placed, _ in lacking])
-    for (placed, told), holds in zip(lacking, holds_objects(scene.shapes(), boxes), strict=True):
-        if holds:
+    boxes = np.stack([placed.scene_from_box for placed in causes])
+    inside = holds_objects(scene.shapes(), boxes)
+    for (placed, cause), has_objects in zip(causes.items(), inside, strict=True):
+        if has_objects:
             warnings.warn(
-                f"{placed.title}: an object of the room is inside its box, where it {told}",
+                f"{placed.title}: an object of the room is inside its box, where it is not lit: "
+                f"{cause}",
                 LumitreeWarning,
                 stacklevel=3,
             )
+
+
+@dataclasses.dataclass(frozen=True)
+class CameraView:
+    """View of a perspective camera.
+
+    Attributes:
+        origin: [3] its place, scene coordinates.
+        direction, up: [3] unit vectors, where it looks and what is up in the image.
+        horizontal, vertical: angles of view, degrees.
+    """
+
+    origin: tuple[float, float, float]
+    direction: tuple[float, float, float]
+    up: tuple[float, float, float]
+    horizontal: float
+    vertical: float
+
+
+def camera_view(sensor: mi.Sensor) -> CameraView | None:
+    """View of a perspective camera, with or without a lens; None for other cameras.
+
+    There is none either if the centre of the image is not on the camera's axis, because of a crop
+    window or of an offset of the principal point.
+    """
+    parameters, film = mi.traverse(sensor), sensor.film()
+    if "x_fov" not in parameters:
+        return None
+    size, crop, start = (
+        np.array(each, np.int64) for each in (film.size(), film.crop_size(), film.crop_offset())
+    )
+    shifts = [parameters[key] for key in parameters.keys() if key.startswith("principal_point")]  # noqa: SIM118
+    if np.abs(2 * start + crop - size).max() > 1 or np.any(shifts):
+        return None
+    matrix = np.array(sensor.world_transform().matrix, np.float64).reshape(4, 4)
+    # Half the width of the whole film at a distance of 1, and of the image that is its part.
+    half = math.tan(math.radians(float(np.ravel(parameters["x_fov"])[0]) / 2))
+    halves = half * crop / size[0]
+    horizontal, vertical = (2 * math.degrees(math.atan(each)) for each in halves)
+    axes = matrix[:3, :3] / np.linalg.norm(matrix[:3, :3], axis=0)
+    origin, direction, up = (
+        tuple(each.tolist()) for each in (matrix[:3, 3], axes[:, 2], axes[:, 1])
+    )
+    return CameraView(origin, direction, up, horizontal, vertical)
