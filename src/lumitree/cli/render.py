@@ -85,7 +85,7 @@ def run(args: argparse.Namespace) -> Any:
     from lumitree.core.arguments import check_sheet_output
     from lumitree.core.backend import load_rgb
     from lumitree.core.results import plain
-    from lumitree.rendering.saved_passes import forget_passes
+    from lumitree.rendering.render_job import forget_passes
 
     check_outputs(args.output, args.layers, args.aov)
     if args.luminance is not None:
