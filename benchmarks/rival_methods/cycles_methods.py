@@ -55,9 +55,10 @@ def cycles_methods(luminaire: Any, asset: Any, room: Room, program: str) -> list
         program: Blender, or a Python with the module bpy.
     """
     from lumitree.exports.blender import find_blender, geometry_script, make_script
+    from lumitree.exports.target import ExportRequest
 
     program = find_blender(program)
-    lamp = make_script(asset, _LIGHTS, "y")
+    lamp = make_script(ExportRequest(asset=asset, lights=_LIGHTS, up="y"))
     scripts = lamp.text, geometry_script(room.geometry(), "room", "y").text
     matrix, view = lamp_from_file(luminaire.frame), room.camera()
     base = CyclesJob(

@@ -34,7 +34,7 @@ def run(
     """Bake and render; writes images, the asset and `report.json` into `folder`.
 
     Args:
-        full: make a radiance field too, and compare the views of it with those of the lamp.
+        full: make a radiance field too, and compare its views with the lamp's.
     """
     output = Path(folder)
     asset = output / "lamp.lumitree"
@@ -77,7 +77,7 @@ def _render_room(output: Path, asset: str, seconds: float) -> dict[str, RenderRe
     from lumitree.core.drawing import write_strip
     from lumitree.core.view_transform import room_exposure
     from lumitree.rendering.demo_room import demo_room, lamp
-    from lumitree.rendering.denoise import check_denoiser
+    from lumitree.rendering.layers import check_denoiser
 
     try:
         check_denoiser()

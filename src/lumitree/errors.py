@@ -2,6 +2,7 @@
 
 import copyreg
 import functools
+import inspect
 import re
 from collections.abc import Callable, Iterable
 from typing import Any, TypeVar, cast
@@ -21,7 +22,7 @@ class LumitreeError(Exception):
     """
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # Subclasses have constructors with arguments of their own. They are not called, so that the
+        # The constructors of subclasses, which have other arguments, are not called, so that the
         # errors of tasks in other processes keep type, text and attributes.
         return copyreg.__newobj__, (type(self), *self.args), self.__dict__ or None  # pyright: ignore
 
@@ -57,15 +58,32 @@ def shown_names(names: Iterable[str]) -> str:
     return listed + more if names else "none with a name"
 
 
-def explained(function: F) -> F:
-    """Decorator that turns errors of the system, of memory and of readers into a `LumitreeError`.
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """The end of a message about an unknown name: the nearest known one, or all of them."""
+    import difflib
 
-    It handles the errors for which readers of files have no message of their own. Its type is that
-    of the function itself, so that an editor finds where an argument is passed.
+    known = list(known)
+    if nearest := difflib.get_close_matches(name, known, 1):
+        return f"; did you mean {nearest[0]!r}?"
+    return f"; expected {', '.join(known)}"
+
+
+def explained(function: F) -> F:
+    """Decorator of public functions, with errors of a kind that users can read.
+
+    Errors of the system, of memory and of readers for which readers of files have no message become
+    a `LumitreeError`, and the `TypeError` for an unknown keyword names the nearest known one. The
+    type of the result is the type of the function, so that an editor finds where an argument is
+    passed.
     """
+    known = inspect.signature(function).parameters
+    takes_any = any(each.kind is inspect.Parameter.VAR_KEYWORD for each in known.values())
 
     @functools.wraps(function)
     def run(*args: Any, **kwargs: Any) -> Any:
+        for name in () if takes_any else kwargs.keys() - known.keys():
+            hint = did_you_mean(name, known)
+            raise TypeError(f"{function.__name__}() has no argument {name!r}{hint}")
         try:
             return function(*args, **kwargs)
         except OSError as error:
@@ -92,7 +110,7 @@ def explained(function: F) -> F:
 
 
 def renderer_reason(error: BaseException) -> str | None:
-    """What is wrong with a scene, from an exception of Mitsuba.
+    """The fault of a scene, from an exception of Mitsuba.
 
     Returns:
         The message of a `LumitreeError` that a plugin of lumitree raised, or else Mitsuba's,
@@ -100,8 +118,8 @@ def renderer_reason(error: BaseException) -> str | None:
         Python, or one of Dr.Jit for a wrong call: that is an error in the program.
     """
     text = str(error)
-    if own := re.search(r"LumitreeError: (.*)", text):
-        return own.group(1)
+    if raised := re.search(r"LumitreeError: (.*)", text):
+        return raised.group(1)
     behind = error.__cause__ or error.__context__
     if "Traceback (most recent call last)" in text or not isinstance(error, RuntimeError):
         return None

@@ -374,9 +374,9 @@ def test_a_random_stream_is_refused_or_read(files, tmp_path, name):
 @pytest.mark.parametrize(
     ("name", "change", "message"),
     [
-        ("density", lambda a: changed(a, 0, np.nan), "density holds NaN"),
+        ("density", lambda a: changed(a, 0, np.nan), "density has NaN"),
         ("density", lambda a: changed(a, 0, -1), "negative"),
-        ("coefficients", lambda a: changed(a, (0, 0, 0), np.inf), "hold NaN or infinity"),
+        ("coefficients", lambda a: changed(a, (0, 0, 0), np.inf), "NaN or infinity"),
         ("children", lambda a: changed(a, (0, 0), 10**6), "node index is out of range"),
         ("children", lambda a: changed(a, a < 0, -(10**6)), "leaf index is out of range"),
         ("children", lambda a: changed(a, (-1, slice(None)), 0), "referenced exactly once"),

@@ -1,4 +1,4 @@
-"""The light field in memory: packed colours, and what is refused."""
+"""The light field in memory: packed colours, light inside the box, and what is refused."""
 
 import dataclasses
 
@@ -7,10 +7,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lumitree.asset.light_field import MAX_BINS, LightField, make_light_field, pack, unpack
+from lumitree.asset.light_field import (
+    MAX_BINS,
+    LightField,
+    dense,
+    make_light_field,
+    pack,
+    parts_of_ending,
+    unpack,
+)
 from lumitree.errors import LumitreeError
 from lumitree.octree.build import morton
-from support.light_fields import random_light_field
+from support.light_fields import random_inside, random_light_field
+
+FIELD = random_light_field(0)
+INSIDE = random_inside(0, FIELD)
 
 # Half a step of a mantissa of 9 bits, relative to the largest channel. It is largest where rounding
 # carries: from 511.5 steps up the step is twice as large.
@@ -35,19 +46,15 @@ def test_many_packed_colours_are_near():
     assert abs((unpack(pack(colours)) / colours).mean() - 1) < 1e-3
 
 
-def test_powers_of_two_are_exact():
+def test_powers_of_two_zero_and_one_are_exact():
     powers = np.exp2(-np.arange(31.0))
     colours = np.stack([powers, powers / 2, powers / 256], axis=1)
-    assert np.array_equal(unpack(pack(colours)), colours)
-    assert np.array_equal(unpack(pack(colours[:, ::-1])), colours[:, ::-1])
-
-
-def test_zero_and_one():
-    colours = np.array([[0, 0, 0], [1, 1, 1], [1, 0, 0], [0, 0, 1], [0, 1, 0.5]])
-    packed = pack(colours)
+    simple = np.array([[0, 0, 0], [1, 1, 1], [1, 0, 0], [0, 0, 1], [0, 1, 0.5]])
+    for each in (colours, colours[:, ::-1], simple):
+        assert np.array_equal(unpack(pack(each)), each)
+    packed = pack(simple)
     assert packed.dtype == np.uint32
     assert packed[0] == 0
-    assert np.array_equal(unpack(packed), colours)
 
 
 @pytest.mark.parametrize("exponent", [0, -1, -7, -29])
@@ -80,11 +87,8 @@ def test_every_packed_number_is_kept():
     assert np.array_equal(unpack(pack(colours)), colours)
 
 
-FIELD = random_light_field(0)
-
-
-def changed(name, index, value):
-    array = getattr(FIELD, name).copy()
+def changed(light, name, index, value):
+    array = getattr(light, name).copy()
     array[index] = value
     return {name: array}
 
@@ -94,76 +98,85 @@ def both(intensity):
     return {"intensity": intensity, "bent": intensity}
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"cells": FIELD.cells.astype(np.int64)}, r"cells is int64 \(5, 3\), expected uint8"),
-        ({"cells": FIELD.cells[:, :2]}, r"cells is uint8 \(5, 2\), expected uint8 \(5, 3\)"),
-        ({"cells": FIELD.cells.ravel()}, r"cells is uint8 \(15,\)"),
-        ({"cells": np.uint8(0)}, r"cells is uint8 \(\)"),
-        ({"cells": FIELD.cells[1:]}, r"lit is uint8 \(5, 2\), expected uint8 \(4, 2\)"),
-        ({"lit": FIELD.lit.view(np.int8)}, "lit is int8"),
-        ({"lit": FIELD.lit[:, :1]}, r"lit is uint8 \(5, 1\), expected uint8 \(5, 2\)"),
-        ({"lit": np.uint8(0)}, r"lit is uint8 \(\)"),
-        ({"intensity": FIELD.intensity.view(np.int32)}, "intensity is int32"),
-        ({"intensity": FIELD.intensity.astype(np.float64)}, "intensity is float64"),
-        ({"intensity": FIELD.intensity[:, None]}, r"intensity is uint32 \(\d+, 1\)"),
-        ({"intensity": np.uint32(1)}, r"intensity is uint32 \(\)"),
-        (both(FIELD.intensity[1:]), r"\d+ intensities for"),
-        (both(np.append(FIELD.intensity, FIELD.intensity)), r"\d+ intensities for \d+"),
-        ({"bent": FIELD.bent[1:]}, "bent is uint32"),
-        ({"bent": FIELD.bent.view(np.int32)}, "bent is int32"),
-        (changed("bent", 3, pack(np.array([1.0, 0, 0]))), "a bent part is larger"),
-        (changed("bent", slice(None), FIELD.intensity + 1), "a bent part is larger"),
-        (changed("intensity", 3, 0), "an intensity is 0"),
-        (changed("intensity", 3, 7 << 27), "an intensity is 0"),
-        (changed("lit", (0, 0), FIELD.lit[0, 0] ^ 1), "intensities for"),
-        (changed("cells", (0, 0), 4), "a cell is outside the grid"),
-        (changed("cells", (0, 0), 255), "a cell is outside the grid"),
-        (changed("cells", 1, FIELD.cells[0]), "repeated or out of order"),
-        ({"cells": FIELD.cells[::-1]}, "repeated or out of order"),
-        ({"depth": 1}, "a cell is outside the grid"),
-        ({"depth": 0}, "depth 0, expected 1 to 7"),
-        ({"depth": 8}, "depth 8"),
-        ({"depth": 2.0}, "depth 2.0"),
-        ({"depth": True}, "depth True"),
-        ({"resolution": 8}, r"lit is uint8 \(5, 2\), expected uint8 \(5, 8\)"),
-        ({"resolution": 2}, "resolution 2, expected a power of two from 4 to 512"),
-        ({"resolution": 6}, "resolution 6"),
-        ({"resolution": 1024}, "resolution 1024"),
-        ({"resolution": 4.0}, "resolution 4.0"),
-        ({"scale": 0.0}, "scale 0.0, expected 1e-15 to 1e15"),
-        ({"scale": 9e-16}, "scale 9e-16"),
-        ({"scale": 2e15}, "scale 2000000000000000.0"),
-        ({"scale": -1.0}, "scale -1.0"),
-        ({"scale": float("nan")}, "scale nan"),
-        ({"scale": float("inf")}, "scale inf"),
-        ({"scale": 1}, "scale 1,"),
-        (
-            {
-                "cells": FIELD.cells[:0],
-                "lit": FIELD.lit[:0],
-                **both(FIELD.intensity[:0]),
-            },
-            "0 cells of 16 bins",
-        ),
-    ],
-)
-def test_what_a_renderer_could_not_use_is_refused(change, message):
-    with pytest.raises(LumitreeError, match=message) as caught:
-        dataclasses.replace(FIELD, **change)
-    assert str(caught.value).startswith("invalid light field: ")
+def field(name, index, value):
+    return FIELD, changed(FIELD, name, index, value)
+
+
+def inside(name, index, value):
+    return INSIDE, changed(INSIDE, name, index, value)
+
+
+FIRST = int(np.unpackbits(FIELD.lit[0]).sum())
+NO_CELLS = {"cells": FIELD.cells[:0], "lit": FIELD.lit[:0], **both(FIELD.intensity[:0])}
+DARK = np.concatenate([np.zeros_like(FIELD.lit[:1]), FIELD.lit[1:]])
+# Members that are changed, and a word of the refusal.
+BROKEN = [
+    (FIELD, {"cells": FIELD.cells.astype(np.int64)}, "cells is int64"),
+    (FIELD, {"cells": FIELD.cells[:, :2]}, "cells is uint8"),
+    (FIELD, {"cells": FIELD.cells.ravel()}, "cells is uint8"),
+    (FIELD, {"cells": np.uint8(0)}, "cells is uint8"),
+    (FIELD, {"cells": FIELD.cells[1:]}, "lit is uint8"),
+    (FIELD, {"lit": FIELD.lit.view(np.int8)}, "lit is int8"),
+    (FIELD, {"lit": FIELD.lit[:, :1]}, "lit is uint8"),
+    (FIELD, {"lit": np.uint8(0)}, "lit is uint8"),
+    (FIELD, {"intensity": FIELD.intensity.view(np.int32)}, "intensity is int32"),
+    (FIELD, {"intensity": FIELD.intensity.astype(np.float64)}, "intensity is float64"),
+    (FIELD, {"intensity": FIELD.intensity[:, None]}, "intensity is uint32"),
+    (FIELD, {"intensity": np.uint32(1)}, "intensity is uint32"),
+    (FIELD, both(FIELD.intensity[1:]), "intensities for"),
+    (FIELD, both(np.append(FIELD.intensity, FIELD.intensity)), "intensities for"),
+    (FIELD, {"bent": FIELD.bent[1:]}, "bent is uint32"),
+    (FIELD, {"bent": FIELD.bent.view(np.int32)}, "bent is int32"),
+    (*field("bent", 3, pack(np.array([1.0, 0, 0]))), "a bent part is larger"),
+    (*field("bent", slice(None), FIELD.intensity + 1), "a bent part is larger"),
+    (*field("intensity", 3, 0), "an intensity is 0"),
+    (*field("intensity", 3, 7 << 27), "an intensity is 0"),
+    (*field("lit", (0, 0), FIELD.lit[0, 0] ^ 1), "intensities for"),
+    (*field("cells", (0, 0), 4), "outside the grid"),
+    (*field("cells", (0, 0), 255), "outside the grid"),
+    (*field("cells", 1, FIELD.cells[0]), "repeated or out of order"),
+    (FIELD, {"cells": FIELD.cells[::-1]}, "repeated or out of order"),
+    (FIELD, {"depth": 1}, "outside the grid"),
+    *((FIELD, {"depth": value}, "depth") for value in (0, 8, 2.0, True)),
+    (FIELD, {"resolution": 8}, "lit is uint8"),
+    *((FIELD, {"resolution": value}, "resolution") for value in (2, 6, 1024, 4.0)),
+    *(
+        (light, {"scale": value}, "scale")
+        for light in (FIELD, INSIDE)
+        for value in (0.0, 9e-16, 2e15, -1.0, float("nan"), float("inf"), 1)
+    ),
+    (FIELD, NO_CELLS, "0 cells of 16 bins"),
+    (FIELD, {"lit": DARK, **both(FIELD.intensity[FIRST:])}, "a cell emits nothing"),
+    (INSIDE, {"cells": INSIDE.cells.astype(np.int64)}, "cells is int64"),
+    (INSIDE, {"cells": np.uint8(0)}, "cells is uint8"),
+    (INSIDE, {"cells": INSIDE.cells[::-1]}, "repeated or out of order"),
+    (*inside("cells", 1, INSIDE.cells[0]), "repeated or out of order"),
+    (INSIDE, {"lit": np.uint8(0)}, "lit is uint8"),
+    (INSIDE, {"lit": INSIDE.lit[1:]}, "lit is uint8"),
+    (INSIDE, {"intensity": INSIDE.intensity.astype(np.float32)}, "intensity is float32"),
+    (INSIDE, {"intensity": np.uint32(0)}, "intensity is uint32"),
+    (INSIDE, {"reach": INSIDE.reach[1:]}, "reach is uint8"),
+    (INSIDE, {"bent_reach": INSIDE.bent_reach.astype(np.int64)}, "bent_reach is int64"),
+    (INSIDE, {"bent": INSIDE.bent[1:]}, "bent is uint32"),
+    (*inside("bent", slice(None), pack(np.ones(3))), "a bent part is larger"),
+    (INSIDE, {"distances": INSIDE.distances[:3]}, "reach_curves is float32"),
+    (INSIDE, {"distances": np.float32(0)}, "distances is float32"),
+    (INSIDE, {"reach_curves": np.float32(0)}, "reach_curves is float32"),
+    (INSIDE, {"reach_curves": INSIDE.reach_curves[:0]}, "reach curves are not"),
+    (*inside("distances", 0, 0.05), "distances"),
+    *((*inside("distances", 3, value), "distances") for value in (0.1, np.inf, np.nan)),
+    *((*inside("reach_curves", (0, 0), value), "reach curves are not") for value in (1.01, np.nan)),
+    (*inside("reach_curves", (0, 2), 1), "a reach increases"),
+    (*inside("reach_curves", (0, slice(None)), 0.5), "last value is not 0"),
+    *((*inside(name, 0, 4), "a reach curve is named") for name in ("reach", "bent_reach")),
+]
+
+
+@pytest.mark.parametrize(("light", "change", "word"), BROKEN, ids=range(len(BROKEN)))
+def test_what_a_renderer_could_not_use_is_refused(light, change, word):
+    with pytest.raises(LumitreeError, match=f"invalid light .*{word}") as caught:
+        dataclasses.replace(light, **change)
     assert str(caught.value).isprintable()
-
-
-def test_a_cell_that_emits_nothing_is_refused():
-    first = int(np.unpackbits(FIELD.lit[0]).sum())
-    with pytest.raises(LumitreeError, match="a cell emits nothing"):
-        dataclasses.replace(
-            FIELD,
-            lit=np.concatenate([np.zeros_like(FIELD.lit[:1]), FIELD.lit[1:]]),
-            **both(FIELD.intensity[first:]),
-        )
 
 
 def test_too_many_bins_are_refused():
@@ -179,11 +192,6 @@ def test_too_many_bins_are_refused():
             resolution=128,
             scale=1.0,
         )
-
-
-@pytest.mark.parametrize("scale", [1e-15, 1e15])
-def test_the_ends_of_the_range_are_accepted(scale):
-    assert dataclasses.replace(FIELD, scale=scale).scale == scale
 
 
 def test_dense_puts_values_where_the_bins_are():
@@ -215,7 +223,7 @@ def test_a_field_of_intensities():
     intensity[4, 17, 2] = 1
     intensity[0, 5] = 0
     field = make_light_field(cells, intensity, 2)
-    # The dark cell is left out; the others are in Morton order.
+    # The dark cell is dropped; the others are in Morton order.
     assert field.cells.tolist() == [[0, 0, 0], [0, 1, 0], [3, 0, 1], [2, 2, 2]]
     assert (np.diff(morton(field.cells)) > 0).all()
     assert (field.depth, field.resolution) == (2, 8)
@@ -230,7 +238,7 @@ def test_a_field_of_intensities():
     assert unpack(field.intensity).max() == 1
 
 
-def test_light_too_dim_for_a_packed_number_is_left_out():
+def test_light_too_dim_for_a_packed_number_is_dropped():
     """A cell whose bins are all rounded to 0 must not stay as a cell without light."""
     intensity = np.full((2, 16, 3), 1e-13)
     intensity[0] = 1
@@ -238,19 +246,9 @@ def test_light_too_dim_for_a_packed_number_is_left_out():
     assert field.cells.tolist() == [[1, 1, 1]]
 
 
-@pytest.mark.parametrize(
-    ("value", "message"),
-    [
-        (0.0, "largest intensity is 0.0; expected light"),
-        (np.nan, "largest intensity is nan"),
-        (np.inf, "largest intensity is inf"),
-        (-1.0, "largest intensity is 0.0"),
-        (1e16, "scale 1e"),
-        (1e-16, "scale 1e"),
-    ],
-)
-def test_intensities_out_of_range_are_refused(value, message):
-    with pytest.raises(LumitreeError, match=message):
+@pytest.mark.parametrize("value", [0.0, np.nan, np.inf, -1.0, 1e16, 1e-16])
+def test_intensities_out_of_range_are_refused(value):
+    with pytest.raises(LumitreeError, match=r"largest intensity is|scale 1e"):
         make_light_field(np.array([[0, 0, 0]]), np.full((1, 16, 3), value), 1)
 
 
@@ -260,8 +258,81 @@ def test_one_intensity_out_of_range_is_refused(value):
     intensity[1, 7, 2] = value
     with pytest.raises(LumitreeError, match=r"the (largest|smallest) intensity is"):
         make_light_field(np.array([[0, 0, 0], [1, 0, 0]]), intensity, 1)
-
-
-def test_no_cells_are_refused():
     with pytest.raises(LumitreeError, match="expected light"):
         make_light_field(np.zeros((0, 3), np.int64), np.zeros((0, 16, 3)), 1)
+
+
+def without(row):
+    """Light inside without one of its cells."""
+    bits = np.unpackbits(INSIDE.lit, axis=1)
+    entry = np.repeat(np.arange(len(bits)), bits.sum(axis=1, dtype=np.int64))
+    members = {
+        name: np.delete(getattr(INSIDE, name), entry == row)
+        for name in ("intensity", "bent", "reach", "bent_reach")
+    }
+    cells, lit = (np.delete(each, row, axis=0) for each in (INSIDE.cells, INSIDE.lit))
+    return dataclasses.replace(INSIDE, cells=cells, lit=lit, **members)
+
+
+def test_every_cell_of_the_light_field_is_needed():
+    needed = {tuple(cell) for cell in FIELD.cells.tolist()}
+    for row, cell in enumerate(INSIDE.cells.tolist()):
+        if tuple(cell) in needed:
+            with pytest.raises(LumitreeError, match="cell of the light field is missing"):
+                dataclasses.replace(FIELD, inside=without(row))
+        else:
+            assert dataclasses.replace(FIELD, inside=without(row)).num_bytes < (
+                FIELD.num_bytes + INSIDE.num_bytes
+            )
+
+
+def test_bins_beyond_the_last_are_refused():
+    """Q² is 4, and a byte has eight bits."""
+    bits = np.unpackbits(INSIDE.lit, axis=1)
+    others = [
+        row for row, cell in enumerate(INSIDE.cells.tolist()) if cell not in FIELD.cells.tolist()
+    ]
+    bits[others[0], :5] = [1, 1, 1, 0, 1]
+    inside = dataclasses.replace(INSIDE, lit=np.packbits(bits, axis=1))
+    with pytest.raises(LumitreeError, match="a bin beyond the last has an entry"):
+        dataclasses.replace(FIELD, inside=inside)
+
+
+def test_light_inside_of_another_grid_is_refused():
+    with pytest.raises(LumitreeError, match="lit is uint8"):
+        dataclasses.replace(random_light_field(0, resolution=16), inside=INSIDE)
+    with pytest.raises(LumitreeError, match="a cell is outside the grid"):
+        dataclasses.replace(
+            random_light_field(0, depth=1), inside=random_inside(0, random_light_field(0, depth=3))
+        )
+
+
+def test_values_of_bins_that_do_not_fill_their_bytes():
+    """Four bins a cell, as beside a light field of 4 bins a side."""
+    stored = np.array([[True, False, True, True], [False, False, True, False]])
+    values = np.array([[1, 2], [3, 4], [5, 6], [7, 8]])
+    found = dense(np.packbits(stored, axis=1), 4, values)
+    assert found.shape == (2, 4, 2)
+    assert np.array_equal(found[stored], values)
+    assert not found[~stored].any()
+
+
+def test_light_that_ends_is_where_little_leaves():
+    """The level of I + J, against bisection: no bin with J is above it, none without is below."""
+    random = np.random.default_rng(0)
+    leaving = random.exponential(1, (500, 4)) * (random.random((500, 4)) < 0.6)
+    ending = random.exponential(1, 500) * (random.random(500) < 0.9)
+    solid_angle = random.uniform(0.5, 1, (500, 4))
+    parts = parts_of_ending(leaving, ending, solid_angle)
+    low, high = np.zeros(500), np.full(500, 1e3)
+    for _ in range(60):
+        level = (low + high) / 2
+        filled = (np.maximum(level[:, None] - leaving, 0) * solid_angle).sum(axis=1)
+        above = filled > ending * solid_angle.sum(axis=1)
+        low, high = np.where(above, low, level), np.where(above, level, high)
+    expected = np.maximum(low[:, None] - leaving, 0)
+    some = ending > 0
+    assert (parts * ending[:, None])[some] == pytest.approx(expected[some], abs=1e-9)
+    assert (parts[~some] == 1).all()
+    mean = (parts * solid_angle).sum(axis=1) / solid_angle.sum(axis=1)
+    assert mean == pytest.approx(1)

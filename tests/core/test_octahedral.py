@@ -6,10 +6,10 @@ import pytest
 from lumitree.core.device import on_device
 from lumitree.core.octahedral import (
     bilinear_bins,
+    bin_solid_angles,
     coarse_solid_angles,
     intensity_of_histogram,
     middle_directions,
-    own_solid_angles,
     parts_of_bins,
     solid_angles,
 )
@@ -126,7 +126,7 @@ def test_solid_angles_of_the_directions_of_bins(mi, resolution):
     _, direction = random_directions(mi, count, 4)
     bins = bin_of(direction, resolution)
     for found, angles in (
-        (bins, own_solid_angles(resolution)),
+        (bins, bin_solid_angles(resolution)),
         (coarse_bin(bins, resolution), coarse_solid_angles(resolution)),
     ):
         assert angles.sum() == pytest.approx(4 * np.pi, rel=1e-12)
@@ -182,7 +182,7 @@ def test_interpolation_is_as_exact_in_coordinate_planes_as_beside_them(axis):
 
 
 def test_even_light_has_even_intensities_and_light_keeps_its_flux():
-    flux = np.stack([own_solid_angles(32), np.arange(1024.0)], axis=-1)[None]
+    flux = np.stack([bin_solid_angles(32), np.arange(1024.0)], axis=-1)[None]
     flux = np.concatenate([flux, np.zeros((1, 1024, 1))], axis=-1)
     intensity = intensity_of_histogram(flux)
     np.testing.assert_allclose(intensity[..., 0], 1, rtol=1e-12)

@@ -1,52 +1,80 @@
-"""Every reader with some inputs."""
+"""Every reader with some inputs: they are read, or refused in a line."""
 
 import collections
-import json
+import contextlib
 import os
+from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, Phase, given, settings
 
-from fuzz import assets, gldf, json_trees, models, photometric, tables, xml_trees
-from fuzz.reader import generator
-from support.damage import damaged
+from fuzz.readers import READERS
+from support.damage import checked
 
-SEED = 1
 INPUTS = int(os.environ.get("LUMITREE_FUZZ_INPUTS", "0"))
-MODULES = (assets, photometric, gldf, models, tables)
-READERS = {reader.name: reader for module in MODULES for reader in module.READERS}
+
+
+@contextlib.contextmanager
+def at_most(memory):
+    """Limit the address space to its present size and so many bytes more, on Linux."""
+    try:
+        import resource
+
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+    except (ImportError, OSError):
+        yield
+        return
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    limit = pages * resource.getpagesize() + memory
+    resource.setrlimit(resource.RLIMIT_AS, (limit, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, before)
+
+
+def outcomes(name, count, folder, use=False):
+    """How many inputs were accepted and refused."""
+    reader, found = READERS[name], collections.Counter()
+
+    @settings(
+        max_examples=count,
+        derandomize=not INPUTS,
+        database=None,
+        deadline=None,
+        suppress_health_check=list(HealthCheck),
+        phases=(Phase.generate, Phase.shrink),
+    )
+    @given(files=reader.inputs)
+    def run(files):
+        for file, content in files.items():
+            (folder / file).write_bytes(content)
+
+        def read():
+            with at_most(reader.memory):
+                value = reader.read(folder / next(iter(files)))
+                reader.check(value)
+            if use:
+                reader.use(value)
+
+        message = checked(read)
+        assert "not enough memory" not in (message or "")
+        found["accepted" if message is None else "refused"] += 1
+
+    run()
+    return found
 
 
 @pytest.mark.parametrize("name", READERS)
 def test_inputs_are_read_or_refused_in_a_line(name, mi, tmp_path):
-    reader, count = READERS[name], INPUTS or READERS[name].in_suite
-    # None in full among few inputs: it takes seconds.
-    full_share = reader.full_share if INPUTS else 0.0
-    kinds = collections.Counter(
-        reader.outcome(SEED, number, tmp_path, full_share) for number in range(count)
-    )
+    count = INPUTS or 40
+    found = outcomes(name, count, tmp_path)
     # Changes reach the code behind the first checks, and are noticed.
-    assert kinds["accepted"] > count / 20
-    assert kinds["refused"] > count / 20
+    assert found["accepted"] > count / 20
+    assert found["refused"] > count / 20
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["asset", "ies", "tm25", "gldf", "obj", "gltf"])
+@pytest.mark.parametrize("name", [name for name, reader in READERS.items() if reader.use])
 def test_accepted_inputs_can_be_rendered(name, mi, tmp_path):
-    kinds = [READERS[name].outcome(SEED + 1, number, tmp_path, 1.0) for number in range(30)]
-    assert kinds.count("full") > 1
-
-
-def test_changed_texts_are_mostly_still_texts_of_their_kind():
-    value = {"a": [1, 2.5, {"b": "c"}], "d": None}
-    valid = 0
-    for number in range(200):
-        tree = json_trees.changed(value, generator("json", SEED, number))
-        content = json_trees.written(tree)
-        try:
-            valid += json.loads(content) != value
-        except (ValueError, RecursionError):
-            continue
-    assert valid > 100
-    xml, lines = b"<a x='1'><b>2</b><c y='3'/></a>", b"1 2 3\n4 5 6"
-    for changed, content in ((xml_trees.changed, xml), (damaged, lines)):
-        assert len({changed(content, generator("text", SEED, n)) for n in range(50)}) > 40
+    assert outcomes(name, 12, tmp_path, use=True)["accepted"] > 1

@@ -8,7 +8,7 @@ import numpy as np
 
 def facts(variant):
     """Largest errors of the laws of `light_table`, by spectrum."""
-    from lumitree.asset.asset import EmittedSpectrum, light_field_asset
+    from lumitree.asset.asset import EmittedSpectrum
     from lumitree.core.backend import load_mitsuba
     from lumitree.core.photometry import (
         FILM_LUMINANCE,
@@ -18,23 +18,20 @@ def facts(variant):
         srgb_from_xyz,
         xyz_of_spectrum,
     )
-    from support.fields import random_asset
-    from support.light_fields import random_light_field
 
     mi = load_mitsuba(variant)
-    from lumitree.rendering.plugins.light_colour import (
-        SpectralColour,
+    from lumitree.rendering.light_colour import (
+        LightSpectra,
         d65,
         light_table,
         smooth_basis,
     )
 
-    frame = random_asset(0).frame
     rgb = np.random.default_rng(0).random((50, 3))
 
     def table(spectrum, share=1.0):
         known = None if spectrum is None else EmittedSpectrum.of(spectrum, share)
-        return light_table(light_field_asset(random_light_field(0), frame, "test", known))
+        return light_table(known)
 
     def colours(spectra):
         return srgb_from_xyz(xyz_of_spectrum(spectra)) / FILM_LUMINANCE
@@ -60,7 +57,7 @@ def facts(variant):
     found["line"] = abs(luminance / (rgb @ LUMA) - 1).max()
     # The kernel, at whole wavelengths and between them.
     at = np.array([[400.0, 555.5, 610.25, 829.75]])
-    device = SpectralColour(table(spectra["peaks"]))(
+    device = LightSpectra(table(spectra["peaks"]))(
         mi.Color3f(1, 2, 3), mi.Spectrum(*at[0].tolist())
     )
     expected = np.interp(at[0], np.arange(360, 831), table(spectra["peaks"]) @ [1, 2, 3])

@@ -26,7 +26,7 @@ from .program import ExtensionError, Job, bake_command, export_command, find_pro
 from .settings import LIGHTS, program_setting
 
 _LOOK_SECONDS, _SCRIPT = 0.5, "lamp.py"
-# Of Blender's lights glTF has these.
+# Blender's lights that glTF has.
 _LIGHTS = ("POINT", "SPOT")
 # Nodes that Blender's glTF exporter leaves out, so that a default or white takes their place.
 _NOT_EXPORTED = {

@@ -14,7 +14,7 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-# Of `core.photometry`.
+# As in `core.photometry`.
 LUMENS_PER_WATT = 683.0
 LUMA = (0.2126, 0.7152, 0.0722)
 MIN_TEMPERATURE, MAX_TEMPERATURE = 1000.0, 20000.0

@@ -13,7 +13,7 @@ _END_SECONDS, _LOOK_SECONDS = 10.0, 0.1
 
 
 class ExtensionError(Exception):
-    """What went wrong, and what to do, in one line."""
+    """The fault, and its remedy, in one line."""
 
 
 def find_program(setting: str) -> list[str]:
@@ -85,7 +85,7 @@ class Job:
         return False
 
     def wait(self) -> None:
-        """Wait until all commands have ended. Errors are those of `poll`."""
+        """Wait until all commands have ended. Raises the errors of `poll`."""
         while not self.poll():
             time.sleep(_LOOK_SECONDS)
 

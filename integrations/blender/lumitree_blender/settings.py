@@ -63,8 +63,8 @@ def _set_tint(settings: Any, context: Any) -> None:
 class LumitreeLamp(bpy.types.PropertyGroup):
     """Settings of a lamp, on its empty.
 
-    What is shown as `lumens` is that of the properties `watts`, `tint` and `gain`, which the script
-    of the lamp made.
+    `lumens` shows the flux of the properties `watts`, `tint` and `gain`, which the script of the
+    lamp made.
     """
 
     lumens: FloatProperty(
@@ -113,6 +113,6 @@ class LumitreePreferences(bpy.types.AddonPreferences):
 
 
 def program_setting(context: Any) -> str:
-    """What the preferences say of the program."""
+    """The program that the preferences name."""
     addon = context.preferences.addons.get(__package__)
     return "" if addon is None else bpy.path.abspath(addon.preferences.program)

@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 
 from lumitree.errors import LumitreeError
 
+Arrays = dict[str, NDArray[Any]]
+
 # For all arrays of a stream together.
 MAX_BYTES = 1 << 31
 _LEVEL = 6
@@ -40,9 +42,7 @@ def compressed(arrays: Mapping[str, NDArray[Any]], layouts: Iterable[Layout]) ->
     return np.frombuffer(b"".join([*parts, compressor.flush()]), np.uint8)
 
 
-def decompressed(
-    stream: NDArray[np.uint8], layouts: Iterable[Layout], what: str
-) -> dict[str, NDArray[Any]]:
+def decompressed(stream: NDArray[np.uint8], layouts: Iterable[Layout], what: str) -> Arrays:
     """The arrays of a stream [bytes], by name; errors name the stream `what`."""
     layouts = list(layouts)
     sizes = [math.prod(each.shape) * np.dtype(each.dtype).itemsize for each in layouts]
@@ -66,7 +66,7 @@ def inflated(content: bytes, size: int, what: str) -> bytes:
         raise LumitreeError(f"{what} has {size} bytes (limit {MAX_BYTES})")
     decompressor = zlib.decompressobj()
     try:
-        # No more than is expected, whatever the stream holds.
+        # No more than is expected, however much the stream has.
         found = decompressor.decompress(content, size + 1)
     except zlib.error as error:
         raise LumitreeError(f"{what} cannot be decompressed: {error}") from None

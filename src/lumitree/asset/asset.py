@@ -18,7 +18,7 @@ from lumitree.core.backend import load_mitsuba
 from lumitree.core.frames import LocalFrame
 from lumitree.core.harmonics import MAX_L, num_coefficients
 from lumitree.core.photometry import WAVELENGTHS
-from lumitree.core.reading import expect, expect_arrays, label
+from lumitree.core.reading import expect, expect_arrays, expect_range, label
 from lumitree.core.transmittance import LAWS, Law
 from lumitree.errors import LumitreeError, shown
 from lumitree.octree.build import MAX_TREE_DEPTH
@@ -39,8 +39,8 @@ _expect = functools.partial(expect, "asset")
 class EmittedSpectrum:
     """The spectral power distribution of the light of a luminaire's bare emitters.
 
-    It is the sum over those emitters whose spectra are known, weighted by their luminous flux. What
-    glass and surfaces of the luminaire do to the light is in the RGB of the asset alone.
+    It is the sum over those emitters whose spectra are known, weighted by their luminous flux. The
+    effect of glass and surfaces of the luminaire on the light is in the RGB of the asset only.
 
     Attributes:
         power: float32 [471], power per nm at 360 to 830 nm, 1 nm apart, relative; the largest is 1.
@@ -62,11 +62,7 @@ class EmittedSpectrum:
             ((self.power >= 0) & (self.power <= 1)).all() and self.power.max() == 1,
             "power is not 0 to 1 with 1 as the largest",
         )
-        expect(
-            "spectrum",
-            type(self.share) is float and 0 < self.share <= 1,
-            f"share {self.share!r}, expected a number above 0, at most 1",
-        )
+        expect_range("spectrum", "share", self.share, float, 1e-300, 1)
 
     @property
     def is_whole(self) -> bool:
@@ -131,14 +127,12 @@ class Asset:
     def __post_init__(self) -> None:
         """Refuse anything that a renderer could not traverse safely."""
         object.__setattr__(self, "luminaire", label(self.luminaire))
-        _check_scalars(self)
-        _check_payload(self)
+        _check_members(self)
         _check_tree(self.children, len(self.density), self.tree_depth)
         if self.geometry is not None:
             self.geometry.check_inside(self.frame)
-            _expect(
-                self.num_leaves or self.light_field, "geometry without anything that illuminates"
-            )
+            illuminates = self.num_leaves or self.light_field
+            _expect(illuminates, "geometry without anything that illuminates")
 
     def __repr__(self) -> str:
         size = " x ".join(f"{side:.4g}" for side in self.frame.size)
@@ -156,9 +150,7 @@ class Asset:
     @property
     def num_bytes(self) -> int:
         """Bytes of the octree, the densities, the coefficients and the other parts."""
-        others = sum(
-            part.num_bytes for part in (self.light_field, self.geometry) if part is not None
-        )
+        others = sum(part.num_bytes for part in (self.light_field, self.geometry) if part)
         return self.children.nbytes + self.density.nbytes + self.coefficients.nbytes + others
 
     @property
@@ -169,7 +161,7 @@ class Asset:
 
     @property
     def appearance(self) -> Part:
-        """What images show under `lumitree_path`: the geometry, else the field, else the light."""
+        """The part that images show under `lumitree_path`: the geometry, the field or the light."""
         present = self.parts
         return next(part for part in ("geometry", "field", "light") if part in present)
 
@@ -184,11 +176,9 @@ class Asset:
     @property
     def without_factors(self) -> "Asset":
         """The asset with factors of 1: with the light of the luminaire that it was baked from."""
-        return (
-            self
-            if self.light_factors == UNIT_FACTORS
-            else dataclasses.replace(self, light_factors=UNIT_FACTORS)
-        )
+        if self.light_factors == UNIT_FACTORS:
+            return self
+        return dataclasses.replace(self, light_factors=UNIT_FACTORS)
 
     @property
     def near_origin(self) -> "Asset":
@@ -264,14 +254,9 @@ class Asset:
         load_mitsuba()
         from lumitree.octree.field import shared_field
 
-        # The reference keeps the device copy alive for the next call.
-        self.__dict__["_field"] = field = shared_field(self)
-        return field.eval_rays(*self._local_rays(origin, direction / length))
-
-    def _local_rays(self, origin, direction):
-        """Points [N, 3] and unit directions [N, 3] in the local frame."""
         frame, rotation = self.frame, self.frame.rotation
-        return (origin - frame.centre) @ rotation / frame.scale, direction @ rotation
+        local = (origin - frame.centre) @ rotation / frame.scale
+        return shared_field(self).eval_rays(local, direction / length @ rotation)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -296,10 +281,10 @@ class AssetInfo:
         geometry_triangles: number of triangles of the geometry; 0 if there is none.
         parts: which of "light", "field" and "geometry" it has.
         appearance: which of them images show under `lumitree_path`.
-        light_factors: [3] factors on the R, G and B of its light, which a luminous flux or a colour
-            temperature that was asked for has made other than 1.
+        light_factors: [3] factors on the R, G and B of its light; not 1 if it was mixed or baked
+            with a luminous flux or a colour temperature.
         spectrum_share: part of the luminous flux of the luminaire's emitters whose spectrum is
-            known; None if it is that of none.
+            known; None if no spectrum is known.
     """
 
     luminaire: str
@@ -344,57 +329,40 @@ def light_field_asset(
     )
 
 
-def _check_scalars(asset: Asset) -> None:
-    _expect(
-        type(asset.tree_depth) is int and 1 <= asset.tree_depth <= MAX_TREE_DEPTH,
-        f"tree depth {asset.tree_depth!r}, expected 1 to {MAX_TREE_DEPTH}",
-    )
-    _expect(
-        type(asset.l_max) is int and 0 <= asset.l_max <= MAX_L,
-        f"l_max {asset.l_max!r}, expected 0 to {MAX_L}",
-    )
+def _check_members(asset: Asset) -> None:
+    expect_range("asset", "tree depth", asset.tree_depth, int, 1, MAX_TREE_DEPTH)
+    expect_range("asset", "l_max", asset.l_max, int, 0, MAX_L)
     _expect(asset.law in LAWS, f"transmittance law {asset.law!r}, expected one of {LAWS}")
+    radiance, factors = asset.max_radiance, asset.light_factors
+    expect_range("asset", "maximum radiance", radiance, float, MIN_RADIANCE, MAX_RADIANCE)
+    valid = len(factors) == 3 and all(type(each) is float and each >= 0 for each in factors)
     _expect(
-        MIN_RADIANCE <= asset.max_radiance <= MAX_RADIANCE,
-        f"maximum radiance {asset.max_radiance!r}, expected {MIN_RADIANCE} to {MAX_RADIANCE}",
-    )
-    factors = asset.light_factors
-    _expect(
-        len(factors) == 3
-        and all(type(each) is float and each >= 0 for each in factors)
-        and any(factors),
+        valid and any(factors),
         f"light factors {factors!r}, expected three numbers of at least 0, not all 0",
     )
-    light_field = asset.light_field
-    scales = [] if light_field is None else [light_field.scale]
-    scales += (
-        [] if light_field is None or light_field.inside is None else [light_field.inside.scale]
-    )
-    brightest = max(factors) * max(asset.max_radiance, *scales, 0.0)
+    field = asset.light_field
+    lights = [] if field is None else [field, *([field.inside] if field.inside else [])]
+    brightest = max(factors) * max(radiance, *(light.scale for light in lights), 0.0)
     _expect(
         brightest <= MAX_RADIANCE,
         f"light factors {factors!r}, with which emission exceeds {MAX_RADIANCE}",
     )
-
-
-def _check_payload(asset: Asset) -> None:
     # An array may have no dimensions, and so no length.
-    leaves = asset.density.size
-    arrays = {
-        "children": (asset.children, np.int32, (*asset.children.shape[:1], 8)),
-        "density": (asset.density, np.float32, (leaves,)),
-        "coefficients": (
-            asset.coefficients,
-            np.float16,
-            (leaves, 3, num_coefficients(asset.l_max)),
-        ),
-    }
-    expect_arrays("asset", arrays)
+    leaves, nodes = asset.density.size, asset.children.shape[:1]
+    coefficients = (leaves, 3, num_coefficients(asset.l_max))
+    expect_arrays(
+        "asset",
+        {
+            "children": (asset.children, np.int32, (*nodes, 8)),
+            "density": (asset.density, np.float32, (leaves,)),
+            "coefficients": (asset.coefficients, np.float16, coefficients),
+        },
+    )
     _expect(
         ((asset.density >= 0) & (asset.density <= MAX_DENSITY)).all(),
-        f"density holds NaN, negative values or values above {MAX_DENSITY}",
+        f"density has NaN, negative values or values above {MAX_DENSITY}",
     )
-    _expect(np.isfinite(asset.coefficients).all(), "coefficients hold NaN or infinity")
+    _expect(np.isfinite(asset.coefficients).all(), "coefficients have NaN or infinity")
 
 
 def _check_tree(children: NDArray[np.int32], num_leaves: int, tree_depth: int) -> None:

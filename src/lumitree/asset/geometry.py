@@ -41,7 +41,7 @@ _MAX_COORDINATE = 1e15
 _MAX_COEFFICIENT = 1e15
 # Beyond it single precision has no values of the phase function.
 MAX_ANISOTROPY = 0.999
-# How far the geometry may be outside the luminaire's box, local units: rounding alone.
+# How far the geometry may be outside the luminaire's box, local units, by rounding.
 _OUTSIDE = 1e-4
 NO_ORIGIN = (0.0, 0.0, 0.0)
 # Shapes without a mesh.

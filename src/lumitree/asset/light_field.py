@@ -21,13 +21,13 @@ Symbols
 
 import dataclasses
 import functools
-import math
-from typing import Any, TypeVar
+import string
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.reading import expect, expect_arrays
+from lumitree.core.reading import expect, expect_arrays, expect_range
 from lumitree.core.seeds import MAX_SEED
 from lumitree.errors import LumitreeError, shown
 from lumitree.octree.build import morton
@@ -75,26 +75,25 @@ class TracedPaths:
 
     def __post_init__(self) -> None:
         """Check the members."""
-        seeds, digits, noise = self.seeds, self.luminaire, self.noise
-        known_noise = type(noise) is float and noise >= 0 and math.isfinite(noise)
-        for valid, found in (
-            (type(self.count) is int and 1 <= self.count <= MAX_PATHS, f"count {self.count!r}"),
-            (
-                type(seeds) is tuple
-                and 1 <= len(seeds) <= MAX_SEEDS
-                and all(type(seed) is int and 0 <= seed <= MAX_SEED for seed in seeds)
-                and list(seeds) == sorted(set(seeds)),
-                f"seeds {shown(seeds, 60)}",
-            ),
-            (
-                type(digits) is str
-                and len(digits) == 64
-                and set(digits) <= set("0123456789abcdef"),
-                f"luminaire {shown(digits, 80)}",
-            ),
-            (noise is None or known_noise, f"noise {noise!r}"),
-        ):
-            expect("record of light paths", valid, f"{found} is out of range")
+        what = "record of light paths"
+        expect_range(what, "count", self.count, int, 1, MAX_PATHS)
+        if self.noise is not None:
+            expect_range(what, "noise", self.noise, float, 0, 1e300)
+        seeds = self.seeds
+        expect(
+            what,
+            type(seeds) is tuple
+            and 1 <= len(seeds) <= MAX_SEEDS
+            and all(type(seed) is int and 0 <= seed <= MAX_SEED for seed in seeds)
+            and list(seeds) == sorted(set(seeds)),
+            f"seeds {shown(seeds, 60)}, expected increasing integers from 0 to {MAX_SEED}",
+        )
+        digits = self.luminaire
+        expect(
+            what,
+            type(digits) is str and len(digits) == 64 and set(digits) <= set(string.hexdigits[:16]),
+            f"luminaire {shown(digits, 80)}, expected 64 hexadecimal digits",
+        )
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -236,11 +235,7 @@ class LightField:
     def __post_init__(self) -> None:
         """Refuse what a renderer could not use safely."""
         depth, resolution = self.depth, self.resolution
-        expect(
-            _FIELD,
-            type(depth) is int and 1 <= depth <= MAX_DEPTH,
-            f"depth {depth!r}, expected 1 to {MAX_DEPTH}",
-        )
+        expect_range(_FIELD, "depth", depth, int, 1, MAX_DEPTH)
         expect(
             _FIELD,
             type(resolution) is int
@@ -283,7 +278,7 @@ class LightField:
 
     @functools.cached_property
     def bent_light(self) -> "LightField":
-        """The field of its bent light alone, which is all of this field's light."""
+        """The field with its bent light only."""
         bins = self.resolution**2
         bent = self.dense(self.bent)
         if not bent.any():
@@ -364,11 +359,7 @@ def make_light_field(
 
 def _check_bins(what: str, light: LightField | LightInside) -> None:
     """Refuse cells and bins that do not fit each other."""
-    expect(
-        what,
-        type(light.scale) is float and 1e-15 <= light.scale <= 1e15,
-        f"scale {light.scale!r}, expected 1e-15 to 1e15",
-    )
+    expect_range(what, "scale", light.scale, float, 1e-15, 1e15)
     ordered = (np.diff(morton(light.cells)) > 0).all()
     expect(what, ordered, "cells are repeated or out of order")
     count, found = len(light.intensity), int(np.bitwise_count(light.lit).sum())
@@ -382,7 +373,7 @@ def parts_of_ending(
 ) -> NDArray[np.floating]:
     """J in four bins over its mean in them, so that I + J is as even as it can be.
 
-    What a cell emits changes little within a few degrees, while surfaces cut light off sharply: it
+    The light of a cell changes little within a few degrees, while surfaces cut it off sharply: it
     ends in the directions in which it does not leave.
 
     Args:
@@ -400,7 +391,7 @@ def parts_of_ending(
     # Filled up from the darkest bin on: the level if only the first k bins are below it.
     level = ((ending[..., None] + (part * i).cumsum(axis=-1)) / part.cumsum(axis=-1)).min(axis=-1)
     missing = np.maximum(level[..., None] - leaving, 0)
-    # Over its own mean and not over J, as it is rounded.
+    # Over the mean of `missing` and not over J, as it is rounded.
     mean = (missing * solid_angle).sum(axis=-1) / solid_angle.sum(axis=-1)
     return np.where(mean[..., None] > 0, missing / np.where(mean > 0, mean, 1)[..., None], 1)
 
@@ -418,14 +409,14 @@ def dense(lit: NDArray[np.uint8], bins: int, values: NDArray[Number]) -> NDArray
     return every
 
 
-def by_coarse_bin(values: NDArray[Any]) -> NDArray[Any]:
+def by_coarse_bin(values: NDArray[Number]) -> NDArray[Number]:
     """Values [C, R²] of bins on the octahedral map as [C, Q², 4]: four of them are one of Q²."""
     coarse = round(values.shape[1] ** 0.5) // 2
     blocks = values.reshape(len(values), coarse, 2, coarse, 2)
     return blocks.transpose(0, 1, 3, 2, 4).reshape(len(values), coarse**2, 4)
 
 
-def by_fine_bin(values: NDArray[Any]) -> NDArray[Any]:
+def by_fine_bin(values: NDArray[Number]) -> NDArray[Number]:
     """The inverse of `by_coarse_bin`."""
     coarse = round(values.shape[1] ** 0.5)
     blocks = values.reshape(len(values), coarse, coarse, 2, 2)

@@ -1,7 +1,8 @@
 """The materials that the geometry of an asset may have: BSDF plugins of Mitsuba, one class each.
 
-A parameter that is None has Mitsuba's default. No parameter names a file. What `check_material`
-accepts can be rendered: Mitsuba makes the BSDF, and its values are finite and not negative.
+A parameter that is None has Mitsuba's default. No parameter names a file. Mitsuba
+makes the BSDF of every material that `check_material` accepts, and its values are finite and not
+negative.
 docs/format.md has the same rules in words, and `asset.geometry_file` reads and writes materials.
 """
 

@@ -21,8 +21,8 @@ class AliasTable:
     """Rows of alias tables on the device, in parts with rows of different lengths.
 
     An entry has two words: a threshold and the index of the alias in one; and the probability of
-    its own index. Thresholds are rounded up to what the first word has room for, so that no index
-    has probability 0, and the probabilities follow from the rounded thresholds.
+    its index. Thresholds are rounded up to the bits of the first word, so that no index has
+    probability 0, and the probabilities follow from the rounded thresholds.
 
     Args:
         weights: arrays [.., N] of all rows, at least 0, with a positive sum in each row.
@@ -40,10 +40,10 @@ class AliasTable:
             count = len(weight)
             threshold, alias = alias_row(weight)
             rounded = np.clip(np.ceil(threshold * steps), 1, steps)
-            chance = rounded / steps + np.bincount(alias, 1 - rounded / steps, count)
+            pmf = rounded / steps + np.bincount(alias, 1 - rounded / steps, count)
             row = words[first : first + count]
             row[:, 0] = (rounded.astype(np.uint64) - 1 << bits) | alias.astype(np.uint64)
-            row[:, 1] = (chance / count).astype(np.float32).view(np.uint32)
+            row[:, 1] = (pmf / count).astype(np.float32).view(np.uint32)
             first += count
         self._words = on_device(mi.UInt32, words)
         starts = np.cumsum([0, *sizes[:-1]])
@@ -108,10 +108,10 @@ def alias_row(weights: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArra
     # The first heavy entry that has something to spare when a light one's turn comes.
     before = np.concatenate([[0], lacking[:-1]])
     alias[light] = heavy[np.minimum(np.searchsorted(spare, before), last)]
-    # A heavy entry ends with the light one for which it has not enough; the next one fills it.
+    # A heavy entry fills light ones until it has not enough; the next heavy one fills that one.
     ended = np.searchsorted(lacking, spare, side="right")
-    ends = (ended < len(light)) & (np.arange(len(heavy)) < last)
-    which = np.flatnonzero(ends)
+    exhausted = (ended < len(light)) & (np.arange(len(heavy)) < last)
+    which = np.flatnonzero(exhausted)
     threshold[heavy[which]] = np.clip(1 + spare[which] - lacking[ended[which]], 0, 1)
     alias[heavy[which]] = heavy[which + 1]
     return threshold, alias

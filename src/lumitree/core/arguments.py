@@ -23,7 +23,7 @@ MIN_KELVIN, MAX_KELVIN = 1000, 20000
 
 
 def check_range(name: str, value: float, low: float, high: float, unit: str = "") -> None:
-    """Refuse what is not a number in [low, high].
+    """Refuse a value that is not a number in [low, high].
 
     Args:
         name: name of the option, for the message.
@@ -35,7 +35,7 @@ def check_range(name: str, value: float, low: float, high: float, unit: str = ""
 
 
 def check_count(name: str, value: int, low: int, high: int) -> None:
-    """Refuse what is not a whole number of the type int in [low, high], as `check_range`."""
+    """Refuse a value that is not an int in [low, high], as `check_range`."""
     if type(value) is not int:
         raise LumitreeError(f"{name} is {_number(value)}; expected a whole number (int)")
     check_range(name, value, low, high)
@@ -47,7 +47,7 @@ def _number(value: object) -> str:
 
 
 def check_items(name: str, values: object, kind: type) -> None:
-    """Refuse what is not a sequence of objects of a type, such as one of them alone."""
+    """Refuse a value that is not a sequence of objects of a type, such as a single one."""
     if not isinstance(values, Sequence) or isinstance(values, str):
         wrong = [values]
     else:
@@ -123,7 +123,7 @@ def check_asset_output(path: str | os.PathLike[str]) -> None:
 
 
 def check_sheet_output(path: str | os.PathLike[str], kind: str = "sheet") -> None:
-    """Refuse a picture, by default a contact sheet, that is no .png or cannot be written."""
+    """Refuse an image file, by default a contact sheet, that is not .png or cannot be written."""
     if Path(path).suffix.lower() != ".png":
         raise LumitreeError(f"{kind} name {shown(repr(str(path)), 300)} does not end in .png")
     check_writable(path)

@@ -328,7 +328,7 @@ NETWORK = {
 }
 
 
-# Those of work on several machines.
+# Packages for work on several machines.
 CLUSTER = {"distributed": "distributed"}
 
 

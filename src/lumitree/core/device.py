@@ -4,7 +4,9 @@ Dr.Jit is imported when it is used. Modules that import this one are imported be
 `load_mitsuba`, which explains what is missing before Dr.Jit does.
 """
 
-from collections.abc import Iterable
+import threading
+import weakref
+from collections.abc import Callable, Hashable, Iterable
 from typing import Any
 
 import numpy as np
@@ -15,12 +17,36 @@ _PACKET = 64
 # Bytes. Dr.Jit compiles a different kernel for unaligned arrays, and NumPy aligns only some.
 _ALIGNMENT = 64
 
+_LOCK = threading.Lock()
+_SHARED: weakref.WeakKeyDictionary[Any, dict[Hashable, Any]] = weakref.WeakKeyDictionary()
+
+
+def shared(owner: Any, key: Hashable, make: Callable[[], Any]) -> Any:
+    """Device data of an owner, such as an asset: made on first use in the variant that is set.
+
+    It lives as long as the owner, to which it must not refer.
+
+    Args:
+        key: that stands for it among the owner's data.
+        make: function that makes it.
+    """
+    import mitsuba as mi
+
+    with _LOCK:
+        known = _SHARED.setdefault(owner, {})
+    key = str(mi.variant()), key
+    if key not in known:
+        # Mitsuba creates plugins in parallel, and a thread that waits for the device may create
+        # others meanwhile. So the lock is not held here; of two copies, the first is kept.
+        known.setdefault(key, make())
+    return known[key]
+
 
 def parameter(kind: Any, *values: float) -> Any:
     """Small device array of the numbers given, which kernels read from memory.
 
-    A number that is a part of a kernel's code gives each lamp a kernel of its own. Lamps whose
-    numbers are parameters share one.
+    Lamps whose numbers are parameters share one kernel. A number in the code of a kernel would make
+    Dr.Jit compile another one for each lamp.
 
     Args:
         kind: type of the result, such as `mi.Float` or `mi.Point3f`.
@@ -53,10 +79,10 @@ def on_device(kind: Any, values: ArrayLike) -> Any:
     """Device array of a copy of some values, converted.
 
     Dr.Jit 1.5 reads NumPy arrays without copying them, and in whole packets, so it also reads
-    memory beyond their end. If that memory is not mapped, the process is killed. And it compiles
-    one kernel for arrays that begin at a multiple of 64 bytes, and another for all others. The copy
-    is aligned and followed by padding. So every NumPy array goes to the device through this
-    function.
+    memory beyond their end. If that memory is not mapped, the process is killed. It also compiles
+    one kernel for arrays that begin at a multiple of 64 bytes, and another for all others. Every
+    NumPy array therefore goes to the device through this function, whose copy is aligned and
+    followed by padding.
 
     Args:
         kind: type of the result: `mi.Float` or another flat array, or vectors such as `mi.Point3f`.

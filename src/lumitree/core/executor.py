@@ -205,7 +205,7 @@ def _explaining_loss(finished: int, what: str, total: int | None, remedy: str) -
     try:
         yield
     except Exception as error:
-        # Dask has an exception of its own.
+        # Dask raises another exception.
         if not isinstance(error, BrokenExecutor | CancelledError) and (
             type(error).__name__ != "KilledWorker"
         ):
@@ -374,7 +374,7 @@ def dask_executor(address: str) -> Iterator[Executor]:
     distributed = importlib.import_module("distributed")
 
     # Loss of connection is an exception; Dask logs it on many lines too.
-    # Some of its loggers have levels of their own.
+    # Each of its loggers may have another level.
     for name in ("distributed", *logging.root.manager.loggerDict):
         if name.partition(".")[0] == "distributed":
             logging.getLogger(name).setLevel(logging.CRITICAL + 1)

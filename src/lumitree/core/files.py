@@ -44,7 +44,7 @@ _RANDOM = "[0-9a-f]{8}"
 _TEMPORARY_NAME = re.compile(rf"\.(.*){re.escape(_TEMPORARY)}{_RANDOM}((\.[^.]*)?)", re.DOTALL)
 # Files that a desktop adds to folders by itself.
 _DESKTOP_FILES = frozenset({".DS_Store", "desktop.ini", "Thumbs.db"})
-# Messages of the system about a full disk; libraries repeat them in their own.
+# Messages of the system about a full disk; libraries repeat them.
 _FULL = {
     number: text
     for number in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -126,7 +126,7 @@ def json_text(value: object, indent: int | None = None) -> str:
 def check_utf8(path: str | os.PathLike[str]) -> None:
     """Refuse the name of a file that is not UTF-8.
 
-    Mitsuba, OpenEXR and Matplotlib take no other, each with an exception of its own.
+    Mitsuba, OpenEXR and Matplotlib refuse it with different exceptions.
     """
     try:
         str(path).encode()

@@ -47,7 +47,7 @@ def write_exr(
 def read_exr(path: str | os.PathLike[str]) -> dict[str, NDArray[np.float32]]:
     """Channels of an OpenEXR file by name; R, G and B are combined as "RGB" [H, W, 3].
 
-    Those of a layer, such as "lamp.R", are combined under the layer's name.
+    Channels of a layer, such as "lamp.R", are combined under its name.
 
     Raises:
         LumitreeError: the file is missing, damaged or holds values that are not finite.
@@ -82,7 +82,7 @@ def read_comment(path: str | os.PathLike[str]) -> str | None:
 def srgb_from_linear(linear: ArrayLike) -> NDArray[np.floating]:
     """sRGB-encoded values in [0, 1] of linear values, which are clipped to [0, 1].
 
-    The transfer function of IEC 61966-2-1, for each value alone. Arrays of single precision keep
+    The transfer function of IEC 61966-2-1, for each value. Arrays of single precision keep
     their type.
     """
     linear = np.clip(linear, 0.0, 1.0)
@@ -166,7 +166,7 @@ def _read_header(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Header of an OpenEXR file; refuses sizes for which memory would be reserved in vain."""
     try:
         with OpenEXR.File(str(path), header_only=True) as file:
-            # A copy: the file empties its own when it is closed.
+            # A copy: the file empties its header when it is closed.
             header = dict(file.header())
             lower, upper = (np.asarray(corner, np.int64) for corner in header["dataWindow"])
             channels = len(header["channels"])

@@ -128,7 +128,7 @@ def _bevelled(place: Any, resolution: int) -> tuple[Any, Any, Any, Any]:
 
 
 def _on_map(uv: Any) -> Any:
-    """Octahedral coordinates of a place beyond the map: each side meets its own other half."""
+    """Octahedral coordinates of a place beyond the map: the halves of each side meet."""
     uv = dr.select(dr.abs(uv.x) > 1, mi.Vector2f(dr.copysign(2, uv.x) - uv.x, -uv.y), uv)
     return dr.select(dr.abs(uv.y) > 1, mi.Vector2f(-uv.x, dr.copysign(2, uv.y) - uv.y), uv)
 
@@ -159,8 +159,8 @@ def solid_angles(resolution: int) -> NDArray[np.float64]:
     """Solid angle [R²] of each bin, sr, if directions between the middles of bins share in them.
 
     A direction counts for a bin with the bilinear weight of its place on the map, which is the
-    chance with which an `offset` of `bin_of`, from -1/2 to 1/2, gives this bin. So intensities that
-    are flux over solid angle keep the flux, if they are linear between the middles of bins.
+    probability with which an `offset` of `bin_of`, from -1/2 to 1/2, gives this bin. So intensities
+    that are flux over solid angle keep the flux, if they are linear between the middles of bins.
     """
     fine = _parts(resolution)
     density = bordered(parts_of_bins(resolution, fine)[1], fine // 2)
@@ -174,7 +174,7 @@ def solid_angles(resolution: int) -> NDArray[np.float64]:
     return sums
 
 
-def own_solid_angles(resolution: int) -> NDArray[np.float64]:
+def bin_solid_angles(resolution: int) -> NDArray[np.float64]:
     """Solid angle [R²] of the directions of each bin, sr."""
     fine = _parts(resolution)
     density = parts_of_bins(resolution, fine)[1]
@@ -195,19 +195,19 @@ def coarse_bin(index: Any, resolution: int) -> Any:
 def coarse_solid_angles(resolution: int) -> NDArray[np.float64]:
     """Solid angle [R² / 4] of the directions of each `coarse_bin`, sr."""
     half = resolution // 2
-    return own_solid_angles(resolution).reshape(half, 2, half, 2).sum(axis=(1, 3)).ravel()
+    return bin_solid_angles(resolution).reshape(half, 2, half, 2).sum(axis=(1, 3)).ravel()
 
 
 def intensity_of_histogram(flux: NDArray[np.float64]) -> NDArray[np.float64]:
     """Intensities of the bins of a histogram, with the flux of each channel.
 
-    Even light gets even intensities, since a bin's flux comes from its own directions alone.
+    Even light gets even intensities, since the flux of a bin comes only from directions in it.
 
     Args:
         flux: [C, R², 3], by cell, bin of `bin_of` and channel.
     """
     resolution = math.isqrt(flux.shape[1])
-    intensity = flux / own_solid_angles(resolution)[:, None]
+    intensity = flux / bin_solid_angles(resolution)[:, None]
     have, wanted = solid_angles(resolution) @ intensity.sum(axis=0), flux.sum(axis=(0, 1))
     intensity *= np.divide(wanted, have, out=np.zeros_like(have), where=have > 0)
     return intensity

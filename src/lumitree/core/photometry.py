@@ -262,7 +262,7 @@ def sampled_spectrum(
         means: whether values are means in any case, so that their sum is the power.
 
     Returns:
-        [471] power per nm; what is invisible is left out.
+        [471] power per nm; invisible light is omitted.
 
     Raises:
         LumitreeError: there are no values or more than 2²⁰; a number is NaN, infinite or negative;

@@ -160,7 +160,7 @@ def progress(description: str, total: float, done: float = 0) -> Iterator[Advanc
 
     def report(finished: bool) -> None:
         seconds = time.monotonic() - start
-        # Uses the second half alone: the first units of work may compile kernels, or be kept.
+        # Only the second half counts: the first units of work may compile kernels, or be kept.
         while len(earlier) > 1 and earlier[1][0] <= seconds / 2:
             earlier.popleft()
         then, first = earlier[0]

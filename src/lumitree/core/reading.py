@@ -298,6 +298,14 @@ def expect(what: str, condition: Any, message: str) -> None:
     require(condition, f"invalid {what}: {message}")
 
 
+def expect_range(
+    what: str, name: str, value: object, kind: type[int] | type[float], low: float, high: float
+) -> None:
+    """Refuse `what` unless a member of it is a number of a kind in a range."""
+    known = isinstance(value, kind) and not isinstance(value, bool) and low <= value <= high
+    expect(what, known, f"{name} {value!r}, expected {low:g} to {high:g}")
+
+
 @contextlib.contextmanager
 def naming(name: Callable[[], str]) -> Iterator[None]:
     """Context in which messages of a `LumitreeError` begin with a name, which is made on demand."""

@@ -1,9 +1,9 @@
 """Seeds of all random numbers that Mitsuba and NumPy generate.
 
 A result depends on one *root seed*, which the user may choose. Every use of random numbers has its
-own seed. It is derived from the root seed, the purpose of the numbers (`Purpose`), the step of
+separate seed. It is derived from the root seed, the purpose of the numbers (`Purpose`), the step of
 that work, and the draw within the step. Two uses share random numbers only if their 32-bit seeds
-are equal by chance. Among n seeds the probability of this is about n² / 2³³: 0.01 for the 10,000
+coincide. Among n seeds the probability of this is about n² / 2³³: 0.01 for the 10,000
 seeds of a long bake. The consequence is small: two of thousands of batches of rays are equal.
 """
 
@@ -42,9 +42,9 @@ class Purpose(enum.IntEnum):
     ASSET_FLUX = 19  # flux of an asset without a light field
     EXPORT = 20  # clusters of a light field
     LINES = 21  # total flux from camera paths; step: batch
-    # Light that ends on a luminaire; see `fit.light_field.inside.EndingDraw`.
+    # Light that arrives at a luminaire; see `fit.light_field.inside.EndingDraw`.
     ENDING = 22
-    # 23 belonged to rays through a lamp's own surfaces.
+    # 23 belonged to rays through the surfaces of a lamp.
     RECEIVED = 24  # irradiance at points of a scene; step: samples at once
     SURFACES = 25  # radiance of the surfaces of an asset; step: faces at once
     # Illuminance at points of a scene; draw 0: paths, step: pass; draw 1: places in cells of light
@@ -52,6 +52,7 @@ class Purpose(enum.IntEnum):
     ILLUMINANCE = 26
     SPECTRUM = 27  # flux of each emitter of a luminaire, by which its spectrum is weighted
     CELLS = 28  # cells of a light field; draw 0: light paths, 1: which segments
+    FIELD_RAYS = 29  # rays of a radiance field, from which its light field is made; step: batch
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""View transforms: what a display shows of the linear radiance of a room.
+"""View transforms from the linear radiance of an image to the colours of a display.
 
 "standard" clips at 1 and encodes sRGB. "filmic" is the output transform of ACES 2.0 for displays of
 100 cd/m², by OpenColorIO: highlights lose colour and approach white slowly.
@@ -18,8 +18,8 @@ from lumitree.errors import LumitreeError
 
 View = Literal["standard", "filmic"]
 VIEWS: tuple[View, ...] = get_args(View)
-# What the log-average luminance of a room becomes, relative to white, and the side in pixels of
-# the blocks that it is taken over: the logarithm of single pixels would measure their noise.
+# Log-average luminance of an image on the display, relative to white; and side in pixels of the
+# blocks over which it is averaged: the logarithm of single pixels would measure their noise.
 _KEY, _BLOCK = 0.15, 8
 # The configuration is part of OpenColorIO 2.5 and later.
 _CONFIG = "cg-config-v4.0.0_aces-v2.0_ocio-v2.5"
@@ -35,7 +35,7 @@ def check_view(view: View, exposure: float | None = None) -> None:
     """Refuse a view transform that there is not, or whose package is missing, before any work.
 
     Raises:
-        LumitreeError: there is no such view, "filmic" is asked for without OpenColorIO, or the
+        LumitreeError: there is no such view, OpenColorIO is missing for "filmic", or the
             exposure is out of range.
     """
     check_choice("view", view, VIEWS)
@@ -59,10 +59,10 @@ def displayed(
 
 
 def room_exposure(radiance: NDArray[np.floating]) -> float:
-    """Exposure factor for the image [H, W, 3] of a room: by its log-average luminance.
+    """Exposure factor for an image [H, W, 3]: by its log-average luminance.
 
-    A lamp that is seen is thousands of times brighter than its room, and covers little of it: a
-    mean of logarithms hardly depends on it. Blocks that are black are left out.
+    A visible lamp is thousands of times brighter than the rest, and covers few pixels: a mean of
+    logarithms hardly depends on it. Black blocks do not count.
     """
     finite = np.nan_to_num(np.asarray(radiance, np.float64), nan=0.0, posinf=0.0, neginf=0.0)
     means = block_means(finite @ np.array(LUMA), _BLOCK)

@@ -1,8 +1,7 @@
-"""Output for other programs and for people: previews, the viewer, exported lamps.
+"""Lamps for other programs: one module for each, and `export` with the public function.
 
-`targets` has one module for each program. They share `point_lights`, which clusters a light field,
-`ies_profiles`, profiles of lights, `spots`, lights for Blender's importers, and `pbr`, which
-converts materials to metalness and roughness.
-Outputs of several files are written into a temporary folder beside the output
-(`core.files.atomic_files`).
+They share `point_lights`, which clusters a light field, `light_profiles`, their IES profiles and
+Blender's spots, `pbr`, which converts materials to metalness and roughness, and `surfaces`, meshes
+with these materials. Outputs of several files are written into a temporary folder beside the
+output (`core.files.atomic_files`).
 """

@@ -22,23 +22,24 @@ import sys
 from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from lumitree.asset.array_stream import Arrays
 from lumitree.asset.asset import Asset
 from lumitree.asset.geometry import AssetGeometry
 from lumitree.core.files import json_text, scratch_folder
 from lumitree.core.frames import similarity
 from lumitree.core.octahedral import bilinear_bins
 from lumitree.core.photometry import colour_temperature
+from lumitree.core.results import Json
 from lumitree.errors import LumitreeError, shown
 from lumitree.exports.blender_nodes import BlenderMaterials
-from lumitree.exports.point_lights import PlacedLights, PointLights, Up, place_lights, turn_up
+from lumitree.exports.point_lights import PlacedLights, PointLights, Up, turn_up
 from lumitree.exports.surfaces import LOST_GEOMETRY, LOST_SHADOWS, geometry_meshes
-from lumitree.exports.target import ExportRequest, Target, Written, file_orientation
+from lumitree.exports.target import ExportRequest, Target, Written
 
 _FILES = resources.files("lumitree.exports") / "blender_files"
 # Characters of a line of the script's data.
@@ -56,7 +57,7 @@ _PLACES = (
     "/Applications/Blender.app/Contents/MacOS/Blender",
     r"%ProgramFiles%\Blender Foundation\*\blender.exe",
 )
-# Runs a script by Python without its folder on the path of imports; ends with 3 without bpy.
+# Runs a script by Python without its folder on the path of imports; exits with 3 without bpy.
 _PYTHON = """
 import runpy, sys
 try:
@@ -78,33 +79,32 @@ class LampScript:
     lost: list[str]
 
 
-def make_script(asset: Asset, lights: int, up: Up, seed: int = 0) -> LampScript:
-    """The script of an asset, with at most `lights` point lights; `up` is the axis of its file.
+def make_script(request: ExportRequest) -> LampScript:
+    """The script of an asset.
 
     Raises:
         LumitreeError: the asset has no light field.
     """
-    z_up = turn_up(up, "z")
-    points = place_lights(asset, z_up, lights, seed)
+    asset, points = request.asset, request.place("z")
     description, arrays = _light_data(asset, points)
     lost = [LOST_SHADOWS]
     if asset.geometry is None:
         lost = [LOST_GEOMETRY]
         description |= {"surfaces": [], "absorption": []}
     else:
-        surfaces = BlenderMaterials(asset.geometry, asset.light_factors)
-        more, meshes = _surface_data(asset.geometry, surfaces, z_up)
+        materials = BlenderMaterials(asset.geometry, asset.light_factors)
+        more, meshes = _surface_data(asset.geometry, materials, request.up)
         description, arrays = description | more, arrays | meshes
-        lost += sorted(surfaces.lost)
+        lost += sorted(materials.lost)
     return LampScript(_filled(description, arrays), len(points.position), lost)
 
 
 def geometry_script(geometry: AssetGeometry, name: str, up: Up) -> LampScript:
-    """The script of surfaces alone, without point lights; `name` is the collection's."""
-    surfaces = BlenderMaterials(geometry)
-    description, arrays = _surface_data(geometry, surfaces, turn_up(up, "z"))
+    """The script of surfaces without point lights; `name` is the collection's."""
+    materials = BlenderMaterials(geometry)
+    description, arrays = _surface_data(geometry, materials, up)
     description |= {"name": _short(name), "radius": 1.0, "lights": []}
-    return LampScript(_filled(description, arrays), 0, sorted(surfaces.lost))
+    return LampScript(_filled(description, arrays), 0, sorted(materials.lost))
 
 
 def _short(name: str) -> str:
@@ -113,31 +113,29 @@ def _short(name: str) -> str:
 
 
 def _surface_data(
-    geometry: AssetGeometry, surfaces: BlenderMaterials, z_up: NDArray[np.float64]
-) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    meshes = geometry_meshes(geometry, similarity(z_up))
+    geometry: AssetGeometry, materials: BlenderMaterials, up: Up
+) -> tuple[Json, Arrays]:
+    meshes = geometry_meshes(geometry, similarity(turn_up(up, "z")))
     description = {
-        "surfaces": list(map(surfaces.tree, geometry.shapes, meshes)),
+        "surfaces": list(map(materials.tree, geometry.shapes, meshes)),
         "absorption": [
             shape.interior and list(shape.interior.absorption) for shape in geometry.shapes
         ],
     }
-    arrays: dict[str, NDArray[Any]] = {}
+    arrays: Arrays = {}
     for index, mesh in enumerate(meshes):
         arrays |= {f"{index}.{name}": values for name, values in mesh.items()}
     arrays |= {f"image {i}": image for i, image in enumerate(geometry.images)}
     return description, arrays
 
 
-def _filled(description: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> str:
+def _filled(description: Json, arrays: Arrays) -> str:
     template = (_FILES / "lamp_script.py").read_text("utf-8")
     head, tail = template.split("@@DATA@@")
     return head + _block(description, arrays) + tail
 
 
-def _light_data(
-    asset: Asset, points: PlacedLights
-) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+def _light_data(asset: Asset, points: PlacedLights) -> tuple[Json, Arrays]:
     """Positions, powers and tables of the lights, in Blender's frame and units."""
     frame, local = asset.frame, points.local
     tables = direction_tables(local, points.rotation.T, 2 * local.resolution)
@@ -162,7 +160,7 @@ def _light_data(
     return description, {"tables": relative.astype(np.float16)}
 
 
-def _block(description: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> str:
+def _block(description: Json, arrays: Arrays) -> str:
     """An archive of NumPy in base64, in lines."""
     text = json_text(description).encode()
     content = io.BytesIO()
@@ -187,8 +185,8 @@ def table_directions(height: int) -> NDArray[np.float64]:
 def table_angles(height: int) -> NDArray[np.float64]:
     """Weight [H] of the texels of a row in the integral over the sphere, sr.
 
-    Values between the centres of texels are interpolated linearly; beyond those of the first and
-    the last row they are constant.
+    Values between the centres of texels are interpolated linearly. They are constant beyond the
+    centres of the first and the last row.
     """
     fine = 64
     rows = (np.arange(height * fine) + 0.5) / fine - 0.5
@@ -315,15 +313,10 @@ def run_script(
 
 
 def _write_script(request: ExportRequest, folder: Path) -> Written:
-    made = make_script(request.asset, request.lights, request.up, request.seed)
+    made, geometry = make_script(request), request.asset.geometry
     (folder / request.name).write_bytes(made.text.encode())
-    return Written(
-        units=_UNITS,
-        orientation=file_orientation("z"),
-        not_carried_over=made.lost,
-        lights=made.lights,
-        triangles=request.triangles,
-    )
+    triangles = 0 if geometry is None else geometry.num_triangles
+    return Written(not_carried_over=made.lost, lights=made.lights, triangles=triangles)
 
 
 def _write_blend(request: ExportRequest, folder: Path) -> Written:
@@ -335,5 +328,5 @@ def _write_blend(request: ExportRequest, folder: Path) -> Written:
     return written
 
 
-SCRIPT = Target(name="Blender", write=_write_script)
-BLEND = Target(name="Blender", write=_write_blend, check=find_blender)
+SCRIPT = Target(name="Blender", write=_write_script, up="z", units=_UNITS)
+BLEND = dataclasses.replace(SCRIPT, write=_write_blend, check=find_blender)

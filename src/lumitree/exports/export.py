@@ -48,7 +48,7 @@ class ExportResult(Result):
         files: all files that were written.
         file_bytes: the size of all of them.
         lights: number of point lights.
-        triangles: number of triangles of the lamp's own surfaces.
+        triangles: number of triangles of the lamp's surfaces.
         units: one line: the units of lengths and of light.
         orientation: one line: the axis that points up, and where the origin is.
         not_carried_over: one line for each property of the lamp that the other program shows
@@ -107,8 +107,8 @@ def export(
         unit: unit of length of the luminaire's Mitsuba scene: "m", "cm", "mm", "in", "ft", or the
             metres in a unit. Models and photometric files are in metres once they are baked.
         up: the axis that points up in the luminaire's Mitsuba scene, "y" or "z"; models and
-            photometric files have y up once they are baked. Each program has its own axis up
-            (`ExportResult.orientation`), to which the lamp is turned.
+            photometric files have y up once they are baked. The lamp is turned to the axis
+            up of the program (`ExportResult.orientation`).
         blender: program that makes `.blend` files: Blender, or a Python with the module
             `bpy`. Default: `blender` on the search path, else this Python if it has `bpy`.
         importer: for `.glb`, `.usda` and `.usdz`, the program that reads the file. "blender" writes
@@ -172,15 +172,15 @@ def export(
         file_bytes=sum(each.stat().st_size for each in files),
         lights=written.lights,
         triangles=written.triangles,
-        units=written.units,
-        orientation=written.orientation,
+        units=written.units or target.units,
+        orientation=f"{target.up} is up; the origin is the origin of the lamp's file{target.note}",
         not_carried_over=lost,
         **watch.costs(),
     )
 
 
 def find_target(output: FilePath) -> Target:
-    """The target of an output: by its suffix, or the one for folders if it ends in a slash.
+    """The target of an output: by its suffix, or for folders if a slash is at its end.
 
     Raises:
         LumitreeError: there is none.

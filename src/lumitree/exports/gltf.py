@@ -19,10 +19,11 @@ from lumitree.asset.asset import Asset
 from lumitree.asset.materials import Texture, VertexColours
 from lumitree.core.files import json_text
 from lumitree.core.photometry import LUMENS_PER_WATT
+from lumitree.core.results import Json
 from lumitree.errors import shown
 from lumitree.exports.light_profiles import LOST_COLOUR, ProfiledLight, Spot, profiled_lights
 from lumitree.exports.pbr import Layer
-from lumitree.exports.point_lights import place_lights, turn_up
+from lumitree.exports.point_lights import turn_up
 from lumitree.exports.surfaces import LOST_GLOW, PbrImages, Pixels, Surface, resized, surfaces_of
 from lumitree.exports.target import (
     LOST_IN_BLENDER,
@@ -30,19 +31,15 @@ from lumitree.exports.target import (
     Target,
     Written,
     blender_spots,
-    file_orientation,
 )
 from lumitree.formats.ies import ies_content
 
-Json = dict[str, Any]
-
-_UNITS = "metres; cd and cd/m² (683 times W/sr and W/(m² sr))"
 _LOST_DIRECTIONS = (
     "programs without EXT_lights_ies show lights that emit the same in all directions; programs "
-    "that add these to those of EXT_lights_ies show twice the light"
+    "that show both kinds of lights show twice the light"
 )
 _LOST_SHADOW_LINKS = (
-    "the lamp's surfaces shade its own lights, which have that shade already; where the program "
+    "the lamp's surfaces shade its lights, which include that shade already; where the program "
     "can, let the surfaces cast no shadows"
 )
 _PROFILE_TYPE = "application/x-ies-lm-63"
@@ -157,7 +154,13 @@ class GltfMaterials:
         elif material.index != _DEFAULT_INDEX and material.metallic.number < 1:
             self._glb.extend(made, "KHR_materials_ior", {"ior": material.index})
         self._add_transmission(made, surface)
-        self._add_coats(made, surface)
+        if not material.clearcoat.is_black:
+            values = self._layer(surface, material.clearcoat, "clearcoat")
+            values["clearcoatRoughnessFactor"] = material.clearcoat_roughness.number
+            self._glb.extend(made, "KHR_materials_clearcoat", values)
+        if not material.sheen.is_black:
+            values = self._layer(surface, material.sheen, "sheenColor", colour=True)
+            self._glb.extend(made, "KHR_materials_sheen", values)
         return self._glb.add("materials", made)
 
     def _core(self, made: Json, surface: Surface) -> Json:
@@ -173,7 +176,7 @@ class GltfMaterials:
                 name, scale = self._images.colours(material.colour)
                 core["baseColorTexture"] = self._texture(surface, colour, name)
             if opacity is not None:
-                self.lost.add("masks with texture coordinates of their own are left out")
+                self.lost.add("masks with other texture coordinates than the colour are dropped")
             elif alpha < 1:
                 made["alphaMode"] = "BLEND"
         factor = np.clip(np.array(material.colour.factor) * scale, 0, 1)
@@ -204,7 +207,9 @@ class GltfMaterials:
         for name, layer in given.items():
             core[f"{name}Factor"] = min(layer.number, 1.0)
         if len(images) == 2 and images["roughness"].to_uv != images["metallic"].to_uv:
-            self.lost.add("metalness with texture coordinates of its own is replaced by its mean")
+            self.lost.add(
+                "metalness with other texture coordinates than roughness is replaced by its mean"
+            )
             core["metallicFactor"] *= float(pixels.pop("metallic").mean()) / 255
         if not pixels:
             return
@@ -216,36 +221,28 @@ class GltfMaterials:
         core["metallicRoughnessTexture"] = self._texture(surface, texture, file)
 
     def _add_emission(self, made: Json, surface: Surface) -> None:
-        emission = surface.material.emission.scaled(LUMENS_PER_WATT)
-        factor, image = np.array(emission.factor), emission.image
+        opacity, emission = surface.material.opacity, surface.material.emission
         if made.get("alphaMode") == "BLEND":
-            # glTF multiplies what is emitted by the opacity, by which it is multiplied already.
-            if surface.material.opacity.image is not None:
+            # glTF multiplies emission by the opacity, which the radiance includes already.
+            if opacity.image is not None:
                 self.lost.add("what emits is dimmed where its opacity is between 0 and 1")
-            elif surface.material.opacity.number > 0:
-                factor = factor / surface.material.opacity.number
-        if image is not None:
-            name, scale = self._images.colours(emission)
-            factor = factor * scale
-            made["emissiveTexture"] = self._texture(surface, image, name)
+            elif opacity.number > 0:
+                emission = emission.scaled(1 / opacity.number)
+        members = self._layer(surface, emission.scaled(LUMENS_PER_WATT), "emissive", colour=True)
+        factor = np.array(members["emissiveFactor"])
         strength = float(factor.max())
-        made["emissiveFactor"] = (factor / strength).tolist()
+        made |= members | {"emissiveFactor": (factor / strength).tolist()}
         self._glb.extend(made, "KHR_materials_emissive_strength", {"emissiveStrength": strength})
 
     def _add_transmission(self, made: Json, surface: Surface) -> None:
         material = surface.material
         if not material.diffuse_transmission.is_black:
-            name = "diffuseTransmission"
-            diffuse: Json = {f"{name}Factor": material.diffuse_transmission.number / 2}
-            diffuse |= self._coloured(surface, material.colour, f"{name}Color")
-            self._glb.extend(made, "KHR_materials_diffuse_transmission", diffuse)
+            half = {"diffuseTransmissionFactor": material.diffuse_transmission.number / 2}
+            colour = self._layer(surface, material.colour, "diffuseTransmissionColor", colour=True)
+            self._glb.extend(made, "KHR_materials_diffuse_transmission", half | colour)
         if material.transmission.is_black:
             return
-        values: Json = {"transmissionFactor": material.transmission.number}
-        image = material.transmission.image
-        if image is not None:
-            name = self._images.data(material.transmission)
-            values["transmissionTexture"] = self._texture(surface, image, name)
+        values = self._layer(surface, material.transmission, "transmission")
         self._glb.extend(made, "KHR_materials_transmission", values)
         if material.thin or surface.thickness == 0:
             return
@@ -256,30 +253,17 @@ class GltfMaterials:
             volume["attenuationColor"] = np.exp(-np.array(material.absorption) * distance).tolist()
         self._glb.extend(made, "KHR_materials_volume", volume)
 
-    def _add_coats(self, made: Json, surface: Surface) -> None:
-        material = surface.material
-        if not material.clearcoat.is_black:
-            values: Json = {
-                "clearcoatFactor": material.clearcoat.number,
-                "clearcoatRoughnessFactor": material.clearcoat_roughness.number,
-            }
-            image = material.clearcoat.image
-            if image is not None:
-                name = self._images.data(material.clearcoat)
-                values["clearcoatTexture"] = self._texture(surface, image, name)
-            self._glb.extend(made, "KHR_materials_clearcoat", values)
-        if not material.sheen.is_black:
-            values = self._coloured(surface, material.sheen, "sheenColor")
-            self._glb.extend(made, "KHR_materials_sheen", values)
-
-    def _coloured(self, surface: Surface, layer: Layer, name: str) -> Json:
-        """A colour of a name: its factor, and its texture if it has one."""
-        image = layer.image
-        if image is None:
-            return {f"{name}Factor": list(layer.factor)}
-        file, scale = self._images.colours(layer)
-        factor = (np.array(layer.factor) * scale).tolist()
-        return {f"{name}Factor": factor, f"{name}Texture": self._texture(surface, image, file)}
+    def _layer(self, surface: Surface, layer: Layer, name: str, *, colour: bool = False) -> Json:
+        """Members of a layer of a name: its factor, and its texture if it is an image."""
+        found: Json = {f"{name}Factor": layer.number}
+        scale = 1.0
+        if layer.image is not None:
+            file = self._images.colours(layer) if colour else (self._images.data(layer), 1.0)
+            found[f"{name}Texture"] = self._texture(surface, layer.image, file[0])
+            scale = file[1]
+        if colour:
+            found[f"{name}Factor"] = list(layer.scaled(scale).factor)
+        return found
 
     def _texture(self, surface: Surface, texture: Texture, name: str) -> Json:
         """Information of a texture with the image of a name."""
@@ -370,10 +354,8 @@ def _write(request: ExportRequest, folder: Path) -> Written:
         spots, written = blender_spots(request)
         (folder / request.name).write_bytes(lamp_glb(request.asset, spots, [])[0])
         return written
-    turn = turn_up(request.up, "y")
-    placed = place_lights(request.asset, turn, request.lights, request.seed)
-    lights = profiled_lights(placed, request.asset.luminaire)
-    surfaces, lost = surfaces_of(request.asset, turn)
+    lights = profiled_lights(request.place("y"), request.asset.luminaire)
+    surfaces, lost = surfaces_of(request.asset, turn_up(request.up, "y"))
     content, more = lamp_glb(request.asset, lights, surfaces)
     (folder / request.name).write_bytes(content)
     if surfaces:
@@ -381,12 +363,16 @@ def _write(request: ExportRequest, folder: Path) -> Written:
     if any(not surface.material.emission.is_black for surface in surfaces):
         lost.append(LOST_GLOW)
     return Written(
-        units=_UNITS,
-        orientation=file_orientation("y"),
         not_carried_over=[LOST_IN_BLENDER, _LOST_DIRECTIONS, LOST_COLOUR, *lost],
         lights=len(lights),
         triangles=sum(len(surface.mesh["faces"]) for surface in surfaces),
     )
 
 
-TARGET = Target(name="glTF", write=_write, importers=True)
+TARGET = Target(
+    name="glTF",
+    write=_write,
+    up="y",
+    units="metres; cd and cd/m² (683 times W/sr and W/(m² sr))",
+    importers=True,
+)

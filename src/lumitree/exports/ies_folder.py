@@ -12,8 +12,7 @@ import numpy as np
 from lumitree.core.photometry import luminance
 from lumitree.core.progress import progress
 from lumitree.exports.light_profiles import light_distribution
-from lumitree.exports.point_lights import place_lights, turn_up
-from lumitree.exports.target import ExportRequest, Target, Written, file_orientation
+from lumitree.exports.target import ExportRequest, Target, Written
 from lumitree.formats.ies import write_ies
 from lumitree.formats.type_c import z_up
 
@@ -27,7 +26,6 @@ _README = (
     "z up, C = 0 towards +x. No file needs a rotation or a factor: its intensities are in candela. "
     "red, green and blue: linear sRGB colour of luminance 1."
 )
-_UNITS = "metres; candela and lumens"
 _LOST = [
     "an IES file has no colour: each light has one (red, green and blue of placement.csv)",
     "the lamp itself is not shown; its surfaces would block the light of the lights",
@@ -38,7 +36,7 @@ _STEPS_A_BIN = 6
 
 
 def _write(request: ExportRequest, folder: Path) -> Written:
-    lights = place_lights(request.asset, turn_up(request.up, "y"), request.lights, request.seed)
+    lights = request.place("y")
     count = len(lights.position)
     lumens = luminance(lights.watts)
     colours = lights.watts / np.maximum(lumens / luminance([1, 1, 1]), 1e-300)[:, None]
@@ -57,12 +55,9 @@ def _write(request: ExportRequest, folder: Path) -> Written:
     with open(folder / PLACEMENT, "w", encoding="utf-8", newline="") as table:
         table.write(_README + "\n")
         csv.writer(table, lineterminator="\n").writerows([COLUMNS, *rows])
-    return Written(
-        units=_UNITS,
-        orientation=file_orientation("z"),
-        not_carried_over=_LOST,
-        lights=count,
-    )
+    return Written(not_carried_over=_LOST, lights=count)
 
 
-TARGET = Target(name="IES files", write=_write, is_folder=True)
+TARGET = Target(
+    name="IES files", write=_write, up="z", units="metres; candela and lumens", is_folder=True
+)

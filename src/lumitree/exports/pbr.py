@@ -1,7 +1,7 @@
 """Materials of an asset by metalness, roughness and transmission, for exporters and the viewer.
 
 `converted` takes a material that modifies no other one. `flattened` takes any material, for formats
-without mixtures of materials. What has no equal is replaced by the nearest, and noted in
+without mixtures of materials. A property without an equal is replaced by the nearest, and noted in
 `PbrMaterial.lost`.
 """
 
@@ -239,7 +239,7 @@ def converted(material: Material) -> PbrMaterial:
             roughness_v = layer(material.alpha_v, exponent=0.5)
             found = dataclasses.replace(found, roughness_v=roughness_v)
     if found.reflectance != ONE:
-        lost.add("factors of what glass and plastic reflect are left out")
+        lost.add("factors of what glass and plastic reflect are dropped")
     return dataclasses.replace(found, lost=frozenset(lost))
 
 
@@ -264,7 +264,7 @@ def flattened(material: Material, images: Sequence[Image]) -> PbrMaterial:
         case NormalMap(nested=(inner,)):
             return dataclasses.replace(flattened(inner, images), normal=material.normalmap)
         case BumpMap(nested=(inner,)):
-            return _losing(flattened(inner, images), "bump maps are left out")
+            return _losing(flattened(inner, images), "bump maps are dropped")
         case _:
             return _simplified(converted(material), images)
 
@@ -306,7 +306,7 @@ def lost_media(shape: Shape) -> list[str]:
     """One line for each property of the media of a shape that no exporter carries over."""
     lost = []
     if shape.exterior is not None:
-        lost.append("media outside of a shape are left out")
+        lost.append("media outside of a shape are dropped")
     if shape.scatters:
         lost.append("media absorb light and do not scatter it: opal glass is clear")
     return lost
@@ -333,7 +333,7 @@ def principled_index(material: DisneyMaterial) -> float:
 
 def _disney(material: DisneyMaterial, lost: set[str]) -> PbrMaterial:
     if material.flatness or material.spec_tint or material.sheen_tint:
-        lost.add("flatness and tints of principled materials are left out")
+        lost.add("flatness and tints of principled materials are dropped")
     return PbrMaterial(
         layer(material.base_color, 0.5),
         roughness=layer(material.roughness, 0.5),

@@ -21,13 +21,9 @@ from lumitree.core.octahedral import bilinear_bins
 from lumitree.core.photometry import LUMA, LUMENS_PER_WATT
 from lumitree.core.progress import progress
 from lumitree.errors import shown
-from lumitree.exports.point_lights import PlacedLights, place_lights, turn_up
-from lumitree.exports.target import ExportRequest, Target, Written, file_orientation
+from lumitree.exports.point_lights import PlacedLights
+from lumitree.exports.target import ExportRequest, Target, Written
 
-_UNITS = (
-    "metres; pbrt's photometric units: an image of pbrt has R, G and B whose luminance is in "
-    "cd/m², 683 times lumitree's radiance in W/(m² sr)"
-)
 _LOST = [
     "the lamp itself is not shown: in pbrt its surfaces would block the light of the lights",
     "the lamp casts no shadow in the light of others",
@@ -99,7 +95,7 @@ class _Images:
 
 
 def _write(request: ExportRequest, folder: Path) -> Written:
-    lights = place_lights(request.asset, turn_up(request.up, "y"), request.lights, request.seed)
+    lights = request.place("y")
     images, luminaire, count = _Images(lights), request.asset.luminaire, len(lights.position)
     lines = list(_heading(luminaire, count))
     with progress(f"images of {luminaire}", count) as advance:
@@ -110,13 +106,7 @@ def _write(request: ExportRequest, folder: Path) -> Written:
                 lines += _light(position, image.colour.tolist(), name)
             advance(1)
     (folder / request.name).write_bytes(("\n".join(lines) + "\n").encode())
-    return Written(
-        units=_UNITS,
-        orientation=file_orientation("y") + "; coordinates are right-handed, those of pbrt's "
-        "cameras are not: write Scale -1 1 1 before LookAt",
-        not_carried_over=_LOST,
-        lights=count,
-    )
+    return Written(not_carried_over=_LOST, lights=count)
 
 
 def _heading(luminaire: str, count: int) -> Iterator[str]:
@@ -137,4 +127,12 @@ def _light(position: list[float], colour: list[float], name: str) -> Iterator[st
     yield "AttributeEnd"
 
 
-TARGET = Target(name="pbrt-v4", write=_write)
+TARGET = Target(
+    name="pbrt-v4",
+    write=_write,
+    up="y",
+    units="metres; pbrt's photometric units: an image of pbrt has R, G and B whose luminance is in "
+    "cd/m², 683 times lumitree's radiance in W/(m² sr)",
+    note="; coordinates are right-handed, and pbrt's cameras are left-handed: write Scale -1 1 1 "
+    "before LookAt",
+)

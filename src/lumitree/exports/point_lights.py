@@ -21,7 +21,7 @@ from lumitree.asset.light_field import LightField, unpack
 from lumitree.core.octahedral import solid_angles
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.errors import LumitreeError
-from lumitree.octree.leaves import boxes_inside
+from lumitree.octree.build import boxes_inside
 
 # The axis that points up.
 Up = Literal["y", "z"]
@@ -119,14 +119,14 @@ def cluster_points(
 ) -> NDArray[np.float64]:
     """Centres [S, 3] of at most `count` clusters of points [N, 3], by k-means.
 
-    Clusters that remain empty are left out.
+    Clusters that remain empty are dropped.
     """
     from scipy.cluster.vq import kmeans2
 
     points = points.astype(np.float64)
     seeds = _seeds(points, count, random)
     with warnings.catch_warnings():
-        # "One of the clusters is empty": it is left out below.
+        # "One of the clusters is empty": it is dropped below.
         warnings.simplefilter("ignore", UserWarning)
         centres, index = kmeans2(points, seeds, _ROUNDS, minit="matrix", missing="warn")
     return centres[np.unique(index)]
@@ -149,9 +149,9 @@ def _seeds(
         total = nearest.sum()
         if not total:
             break
-        ends = np.cumsum(nearest / total)
-        # Rounding may leave the last end below 1.
-        chosen.append(min(int(np.searchsorted(ends, random.uniform())), len(points) - 1))
+        cdf = np.cumsum(nearest / total)
+        # Rounding may leave the last value below 1.
+        chosen.append(min(int(np.searchsorted(cdf, random.uniform())), len(points) - 1))
     return points[chosen]
 
 
@@ -195,8 +195,8 @@ def _clusters(
     if count >= len(points):
         return np.arange(len(points))
     # k-means of SciPy has no weights: points are repeated in proportion to their power.
-    ends = np.cumsum(power) / power.sum()
-    times = np.diff(np.round(ends * _CLUSTERED).astype(np.int64), prepend=0)
+    cdf = np.cumsum(power) / power.sum()
+    times = np.diff(np.round(cdf * _CLUSTERED).astype(np.int64), prepend=0)
     random = np.random.default_rng(SeedStream(Purpose.EXPORT).seed(seed))
     centres = cluster_points(np.repeat(points, times, axis=0), count, random)
     nearest = KDTree(centres).query(points)[1]

@@ -18,15 +18,12 @@ from numpy.typing import NDArray
 from lumitree.core.octahedral import bordered
 from lumitree.core.photometry import luminance
 from lumitree.errors import shown
-from lumitree.exports.point_lights import PlacedLights, place_lights, turn_up
-from lumitree.exports.target import ExportRequest, Target, Written, file_orientation
+from lumitree.exports.point_lights import PlacedLights
+from lumitree.exports.target import ExportRequest, Target, Written
 
 # Radiance's luminous efficacy, lm/W, and the luminance of its primaries.
 EFFICACY = 179.0
 LUMA = (0.265074126, 0.670114631, 0.064811243)
-_UNITS = (
-    "metres; W/(m² sr) of Radiance, whose luminance at 179 lm/W is that of lumitree at 683 lm/W"
-)
 _LOST = [
     "the lamp itself is not shown: in Radiance its surfaces would block the light of the lights",
     "the lamp casts no shadow in the light of others",
@@ -75,9 +72,8 @@ def radiance_intensity(intensity: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _write(request: ExportRequest, folder: Path) -> Written:
-    lights = place_lights(request.asset, turn_up(request.up, "z"), request.lights, request.seed)
-    count = len(lights.position)
-    # Radiance separates words by spaces, and looks for files by their names alone.
+    lights = request.place("z")
+    # Radiance separates words by spaces, and looks for files by their names only.
     stem = request.stem
     (folder / f"{stem}.cal").write_text(_map(lights), encoding="ascii", newline="\n")
     for channel, name in enumerate("rgb"):
@@ -85,12 +81,7 @@ def _write(request: ExportRequest, folder: Path) -> Written:
             _write_table(file, lights, channel)
     scene = "".join(f"{line}\n" for line in _scene(request.asset.luminaire, stem, lights))
     (folder / request.name).write_text(scene, encoding="utf-8", newline="\n")
-    return Written(
-        units=_UNITS,
-        orientation=file_orientation("z"),
-        not_carried_over=_LOST,
-        lights=count,
-    )
+    return Written(not_carried_over=_LOST, lights=len(lights.position))
 
 
 def _map(lights: PlacedLights) -> str:
@@ -134,4 +125,10 @@ def _scene(luminaire: str, stem: str, lights: PlacedLights) -> Iterator[str]:
         yield f"0\n0\n4 {x:.9g} {y:.9g} {z:.9g} {radius:.9g}"
 
 
-TARGET = Target(name="Radiance", write=_write)
+TARGET = Target(
+    name="Radiance",
+    write=_write,
+    up="z",
+    units="metres; W/(m² sr) of Radiance: its 179 lm/W give the luminance that lumitree's 683 lm/W "
+    "give",
+)

@@ -30,7 +30,7 @@ from lumitree.lamp.meshes import areas_on_image
 
 LOST_GEOMETRY = "the asset has no geometry: the lamp itself is not shown"
 # Lines that are true of every lamp with surfaces.
-LOST_SHADOWS = "the lights illuminate the lamp's own surfaces without its shadows"
+LOST_SHADOWS = "the lights illuminate the lamp's surfaces without its shadows"
 LOST_GLOW = "surfaces that emit illuminate a second time where a path tracer shows them"
 # Segments of a circle in place of an analytic shape.
 _SEGMENTS = 96

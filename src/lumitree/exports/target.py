@@ -11,7 +11,7 @@ from typing import Literal
 from lumitree.asset.asset import Asset
 from lumitree.core.files import FilePath
 from lumitree.exports.light_profiles import Spot, spots_of
-from lumitree.exports.point_lights import Up, place_lights, turn_up
+from lumitree.exports.point_lights import PlacedLights, Up, place_lights, turn_up
 
 Importer = Literal["any", "blender"]
 LOST_IN_BLENDER = (
@@ -35,10 +35,10 @@ class ExportRequest:
     asset: Asset
     lights: int
     up: Up
-    seed: int
-    blender: FilePath | None
-    importer: Importer
-    name: str
+    seed: int = 0
+    blender: FilePath | None = None
+    importer: Importer = "any"
+    name: str = "lamp"
 
     @property
     def stem(self) -> str:
@@ -52,30 +52,19 @@ class ExportRequest:
             return stem
         return f"{plain}-{hashlib.sha256(os.fsencode(stem)).hexdigest()[:8]}"
 
-    @property
-    def triangles(self) -> int:
-        """Number of triangles of the asset's geometry, 0 without one."""
-        return 0 if self.asset.geometry is None else self.asset.geometry.num_triangles
+    def place(self, up: Up) -> PlacedLights:
+        """The point lights in a frame with this axis up."""
+        return place_lights(self.asset, turn_up(self.up, up), self.lights, self.seed)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Written:
-    """The output of a target.
+    """The output of a target, as in `ExportResult`; `units` if they differ from the target's."""
 
-    Attributes:
-        units: one line: the units of lengths and of light.
-        orientation: one line: the axis that points up, and where the origin is.
-        not_carried_over: one line for each property of the lamp that the program shows otherwise,
-            or not at all.
-        lights: number of point lights.
-        triangles: number of triangles of the lamp's own surfaces.
-    """
-
-    units: str
-    orientation: str
+    lights: int
     not_carried_over: list[str]
-    lights: int = 0
     triangles: int = 0
+    units: str | None = None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -86,14 +75,20 @@ class Target:
         name: of the program or the format.
         write: writes all files into an empty folder. The file with the name `ExportRequest.name`
             is the one to open; a target that is a folder writes files of any names.
+        up: the axis that points up.
+        units: one line: the units of lengths and of light.
+        note: of other properties of its frame.
         is_folder: whether the output is a folder.
-        importers: whether Blender's importer of the format needs values of its own.
+        importers: whether Blender's importer of the format needs other values.
         check: refuses, before any work, what cannot be written with the program that the user
             named in `ExportRequest.blender`.
     """
 
     name: str
     write: Callable[[ExportRequest, Path], Written]
+    up: Up
+    units: str
+    note: str = ""
     is_folder: bool = False
     importers: bool = False
     check: Callable[[FilePath | None], object] | None = None
@@ -101,19 +96,12 @@ class Target:
 
 def blender_spots(request: ExportRequest) -> tuple[list[Spot], Written]:
     """The lights with y up that Blender's importers of glTF and OpenUSD turn into the lamp's."""
-    turn = turn_up(request.up, "y")
-    spots = spots_of(place_lights(request.asset, turn, request.lights, request.seed))
+    spots = spots_of(request.place("y"))
     return spots, Written(
         units="metres; Blender's importer makes W of each of R, G and B",
-        orientation=file_orientation("y"),
         not_carried_over=[
             "the lamp's surfaces: they would illuminate and cast shadows a second time",
             "each light is the sum of spots that is nearest to its intensity, with one colour",
         ],
         lights=len(spots),
     )
-
-
-def file_orientation(up: str) -> str:
-    """The line `Written.orientation` of targets that keep the origin of the luminaire's file."""
-    return f"{up} is up; the origin is that of the lamp's file"

@@ -1,7 +1,5 @@
 """Materials of USD: UsdPreviewSurface, and `standard_surface` of MaterialX for glass and metal."""
 
-import dataclasses
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -21,98 +19,154 @@ def primvar_name(uv_set: int) -> str:
     return "st" if uv_set == 0 else f"st{uv_set}"
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class ShaderPlace:
-    """Where shaders are defined, and the images of their textures.
+class MaterialWriter:
+    """Defines materials in a stage, below a parent.
+
+    Args:
+        pxr, stage: the library (`load_usd`), and a stage of it.
+        parent: path of the materials.
+        images: files of textures; each is beside the stage, with `stem` before its name.
+        materialx: whether materials have a `standard_surface` too, where it is short.
 
     Attributes:
-        image_path: path of an image beside the stage, by its name in `images`.
-        lost: one line for each property that is not carried over; shaders add to it.
+        lost: one line for each property that is not carried over.
     """
 
-    pxr: Any
-    stage: Any
-    images: PbrImages
-    image_path: Callable[[str], str]
-    lost: set[str]
+    def __init__(
+        self, pxr: Any, stage: Any, parent: str, images: PbrImages, stem: str, *, materialx: bool
+    ) -> None:
+        self.pxr, self.stage, self.images, self.stem = pxr, stage, images, stem
+        self._parent, self._materialx = parent, materialx
+        self._previews: list[_Shader] = []
+        self._standards: list[_Shader] = []
+        self.lost: set[str] = set()
+
+    def add(self, index: int, surface: Surface) -> Any:
+        """Define the material of a surface, without its emission; returns it."""
+        path = f"{self._parent}/material{index}"
+        made = self.pxr.UsdShade.Material.Define(self.stage, path)
+        preview = _Shader(self, f"{path}/preview", _PREVIEW, surface)
+        self._preview(preview, surface.material)
+        made.CreateSurfaceOutput().ConnectToSource(preview.output("surface"))
+        self._previews.append(preview)
+        if self._materialx and _is_plain(surface.material):
+            standard = _Shader(self, f"{path}/standard", _STANDARD, surface)
+            _standard(standard, surface.material)
+            made.CreateSurfaceOutput("mtlx").ConnectToSource(standard.output("out"))
+            self._standards.append(standard)
+        return made
+
+    def add_emission(self) -> None:
+        """Define what the surfaces emit, cd/m²."""
+        for shader in (*self._previews, *self._standards):
+            emission = shader.surface.material.emission.scaled(LUMENS_PER_WATT)
+            if emission.is_black:
+                continue
+            if shader in self._previews:
+                shader.layer("emissiveColor", emission, colour=True)
+            else:
+                shader.number("emission", 1.0)
+                shader.colour("emission_color", emission.factor)
+
+    def _preview(self, shader: "_Shader", material: PbrMaterial) -> None:
+        shader.layer("diffuseColor", _diffuse(shader.surface), colour=True)
+        shader.layer("metallic", material.metallic)
+        shader.layer("roughness", material.roughness)
+        shader.number("ior", material.index)
+        if material.specular.is_black:
+            shader.input("useSpecularWorkflow", "Int", 1)
+            shader.colour("specularColor", (0.0, 0.0, 0.0))
+        self._opacity(shader, material)
+        if not material.diffuse_transmission.is_black:
+            self.lost.add("thin sheets do not transmit diffuse light")
+        if not material.clearcoat.is_black:
+            shader.layer("clearcoat", material.clearcoat)
+            shader.number("clearcoatRoughness", material.clearcoat_roughness.number)
+        if not material.sheen.is_black:
+            self.lost.add("sheen is dropped")
+        if material.normal is not None:
+            shader.normals(material.normal, material.normal_mirrored)
+
+    def _opacity(self, shader: "_Shader", material: PbrMaterial) -> None:
+        through, opacity = material.transmission, material.opacity
+        if not through.is_black:
+            self.lost.add(
+                "UsdPreviewSurface does not refract: glass is a transparent surface with highlights"
+            )
+            opacity = opacity.scaled(1 - through.number * _transmitted(shader.surface))
+        if through.texture is not None:
+            self.lost.add("textures of transmission are replaced by 1")
+        shader.layer("opacity", opacity)
+        # A threshold would cut all of glass, whose opacity is small.
+        if material.opacity.image is not None and through.is_black:
+            values = self.images.number_pixels(material.opacity)
+            if np.isin(values, (0, 255)).all():
+                shader.number("opacityThreshold", _CUT)
 
 
-class Shader:
-    """A shader of a surface's material; the paths of its textures begin with its own."""
+class _Shader:
+    """A shader of a surface's material, whose inputs are numbers, or the nodes of a texture."""
 
-    def __init__(self, place: ShaderPlace, path: str, name: str, surface: Surface) -> None:
+    def __init__(self, writer: MaterialWriter, path: str, name: str, surface: Surface) -> None:
         self.surface = surface
-        self._place, self._path = place, path
-        self._types = place.pxr.Sdf.ValueTypeNames
-        self._shader = place.pxr.UsdShade.Shader.Define(place.stage, path)
-        self._shader.CreateIdAttr(name)
+        self._writer, self._pxr, self._path = writer, writer.pxr, path
+        self._types = writer.pxr.Sdf.ValueTypeNames
+        self._shader = self._define(path, name)
 
     def output(self, name: str) -> Any:
         """Its output, a token, to which a material is connected."""
         return self._shader.CreateOutput(name, self._types.Token)
 
+    def input(self, name: str, kind: str, value: Any) -> None:
+        """An input of a type of USD."""
+        self._shader.CreateInput(name, getattr(self._types, kind)).Set(value)
+
     def number(self, name: str, value: float) -> None:
         """An input that is a number."""
-        self._shader.CreateInput(name, self._types.Float).Set(float(value))
-
-    def integer(self, name: str, value: int) -> None:
-        """An input that is an integer."""
-        self._shader.CreateInput(name, self._types.Int).Set(value)
-
-    def boolean(self, name: str, value: bool) -> None:
-        """An input that is true or false."""
-        self._shader.CreateInput(name, self._types.Bool).Set(value)
+        self.input(name, "Float", float(value))
 
     def colour(self, name: str, value: RGB) -> None:
         """An input that is a colour."""
-        self._shader.CreateInput(name, self._types.Color3f).Set(self._place.pxr.Gf.Vec3f(*value))
+        self.input(name, "Color3f", self._pxr.Gf.Vec3f(*value))
 
-    def coloured(self, name: str, layer: Layer) -> None:
-        """An input that is a colour, by a texture if the layer has one."""
-        if layer.texture is None:
-            self.colour(name, layer.factor)
+    def layer(self, name: str, layer: Layer, *, colour: bool = False) -> None:
+        """An input that is a colour, or a number from 0 to 1, by a texture if the layer has one."""
+        if layer.texture is None or not (colour or layer.image):
+            if colour:
+                self.colour(name, layer.factor)
+            else:
+                self.number(name, min(layer.number, 1.0))
             return
-        given = self._shader.CreateInput(name, self._types.Color3f)
+        given = self._shader.CreateInput(name, self._types.Color3f if colour else self._types.Float)
         if isinstance(layer.texture, VertexColours):
             reader = self._node(name, "UsdPrimvarReader_float3")
             reader.CreateInput("varname", self._types.String).Set("displayColor")
             given.ConnectToSource(reader.CreateOutput("result", self._types.Float3))
             return
-        file, scale = self._place.images.colours(layer)
-        node = self._texture(name, layer.texture, file, "sRGB")
-        self._scale(node, np.array(layer.factor) * scale)
-        given.ConnectToSource(node.CreateOutput("rgb", self._types.Float3))
-
-    def numbered(self, name: str, layer: Layer) -> None:
-        """An input that is a number from 0 to 1, by a texture if the layer has one."""
-        if layer.image is None:
-            self.number(name, min(layer.number, 1.0))
-            return
-        node = self._texture(name, layer.image, self._place.images.data(layer), "raw")
-        self._scale(node, np.array(layer.factor))
-        given = self._shader.CreateInput(name, self._types.Float)
-        given.ConnectToSource(node.CreateOutput("r", self._types.Float))
+        images = self._writer.images
+        file, scale = images.colours(layer) if colour else (images.data(layer), 1.0)
+        node = self._texture(name, layer.texture, file, "sRGB" if colour else "raw")
+        factor = layer.scaled(scale).factor
+        if factor != (1.0, 1.0, 1.0):
+            node.CreateInput("scale", self._types.Float4).Set(self._pxr.Gf.Vec4f(*factor, 1.0))
+        channels = ("rgb", self._types.Float3) if colour else ("r", self._types.Float)
+        given.ConnectToSource(node.CreateOutput(*channels))
 
     def normals(self, texture: Texture, mirrored: bool) -> None:
         """The input "normal", of the values of a normal map, from -1 to 1."""
-        file = self._place.images.normals(texture, mirrored)
+        file = self._writer.images.normals(texture, mirrored)
         node = self._texture("normal", texture, file, "raw")
-        vector = self._place.pxr.Gf.Vec4f
+        vector = self._pxr.Gf.Vec4f
         node.CreateInput("scale", self._types.Float4).Set(vector(2, 2, 2, 1))
         node.CreateInput("bias", self._types.Float4).Set(vector(-1, -1, -1, 0))
         given = self._shader.CreateInput("normal", self._types.Normal3f)
         given.ConnectToSource(node.CreateOutput("rgb", self._types.Float3))
 
-    def _scale(self, node: Any, factor: Any) -> None:
-        if not (factor == 1).all():
-            scale = self._place.pxr.Gf.Vec4f(*factor.tolist(), 1.0)
-            node.CreateInput("scale", self._types.Float4).Set(scale)
-
     def _texture(self, name: str, texture: Texture, file: str, space: str) -> Any:
         if texture.filter_type == "nearest":
-            self._place.lost.add("images without interpolation are interpolated")
+            self._writer.lost.add("images without interpolation are interpolated")
         node = self._node(name, "UsdUVTexture")
-        path = self._place.pxr.Sdf.AssetPath(self._place.image_path(file))
+        path = self._pxr.Sdf.AssetPath(f"./{self._writer.stem}.{file}.png")
         node.CreateInput("file", self._types.Asset).Set(path)
         node.CreateInput("sourceColorSpace", self._types.Token).Set(space)
         for axis in ("wrapS", "wrapT"):
@@ -125,90 +179,19 @@ class Shader:
         return node
 
     def _node(self, name: str, kind: str) -> Any:
-        node = self._place.pxr.UsdShade.Shader.Define(self._place.stage, f"{self._path}_{name}")
+        return self._define(f"{self._path}_{name}", kind)
+
+    def _define(self, path: str, kind: str) -> Any:
+        node = self._pxr.UsdShade.Shader.Define(self._writer.stage, path)
         node.CreateIdAttr(kind)
         return node
-
-
-class MaterialWriter:
-    """Defines materials in a stage, below a parent.
-
-    With `materialx` they have a `standard_surface` too, where it is short.
-    """
-
-    def __init__(self, place: ShaderPlace, parent: str, *, materialx: bool) -> None:
-        self._place, self._parent, self._materialx = place, parent, materialx
-        self._previews: list[Shader] = []
-        self._standards: list[Shader] = []
-
-    def add(self, index: int, surface: Surface) -> Any:
-        """Define the material of a surface, without its emission; returns it."""
-        path = f"{self._parent}/material{index}"
-        made = self._place.pxr.UsdShade.Material.Define(self._place.stage, path)
-        preview = Shader(self._place, f"{path}/preview", _PREVIEW, surface)
-        self._preview(preview, surface.material)
-        made.CreateSurfaceOutput().ConnectToSource(preview.output("surface"))
-        self._previews.append(preview)
-        if self._materialx and _is_plain(surface.material):
-            standard = Shader(self._place, f"{path}/standard", _STANDARD, surface)
-            _standard(standard, surface.material)
-            made.CreateSurfaceOutput("mtlx").ConnectToSource(standard.output("out"))
-            self._standards.append(standard)
-        return made
-
-    def add_emission(self) -> None:
-        """Define what the surfaces emit, cd/m²."""
-        for shader in self._previews:
-            emission = shader.surface.material.emission.scaled(LUMENS_PER_WATT)
-            if not emission.is_black:
-                shader.coloured("emissiveColor", emission)
-        for shader in self._standards:
-            emission = shader.surface.material.emission.scaled(LUMENS_PER_WATT)
-            if not emission.is_black:
-                shader.number("emission", 1.0)
-                shader.colour("emission_color", emission.factor)
-
-    def _preview(self, shader: Shader, material: PbrMaterial) -> None:
-        lost = self._place.lost
-        shader.coloured("diffuseColor", _diffuse(shader.surface))
-        shader.numbered("metallic", material.metallic)
-        shader.numbered("roughness", material.roughness)
-        shader.number("ior", material.index)
-        if material.specular.is_black:
-            shader.integer("useSpecularWorkflow", 1)
-            shader.colour("specularColor", (0.0, 0.0, 0.0))
-        self._opacity(shader, material)
-        if not material.diffuse_transmission.is_black:
-            lost.add("thin sheets do not transmit diffuse light")
-        if not material.clearcoat.is_black:
-            shader.numbered("clearcoat", material.clearcoat)
-            shader.number("clearcoatRoughness", material.clearcoat_roughness.number)
-        if not material.sheen.is_black:
-            lost.add("sheen is left out")
-        if material.normal is not None:
-            shader.normals(material.normal, material.normal_mirrored)
-
-    def _opacity(self, shader: Shader, material: PbrMaterial) -> None:
-        through, opacity = material.transmission, material.opacity
-        if not through.is_black:
-            self._place.lost.add(
-                "UsdPreviewSurface does not refract: glass is a transparent surface with highlights"
-            )
-            opacity = opacity.scaled(1 - through.number * _transmitted(shader.surface))
-        if through.texture is not None:
-            self._place.lost.add("textures of transmission are replaced by 1")
-        shader.numbered("opacity", opacity)
-        # A threshold would cut all of glass, whose opacity is small.
-        if material.opacity.texture is not None and through.is_black:
-            values = self._place.images.number_pixels(material.opacity)
-            if np.isin(values, (0, 255)).all():
-                shader.number("opacityThreshold", _CUT)
 
 
 def _diffuse(surface: Surface) -> Layer:
     """The colour; for clear glass, the part of its tint above the least channel.
 
-    What is not transparent of a surface is diffuse here: near a lamp grey glass would glow.
+    The part of a surface that is not transparent is diffuse here: near a lamp grey glass would
+    glow.
     """
     material = surface.material
     if material.transmission == ONE and material.colour.texture is None:
@@ -231,7 +214,7 @@ def _is_plain(material: PbrMaterial) -> bool:
     return kind and material.opacity == ONE and not material.textures
 
 
-def _standard(shader: Shader, material: PbrMaterial) -> None:
+def _standard(shader: _Shader, material: PbrMaterial) -> None:
     metal = material.metallic.number
     shader.number("base", metal)
     shader.colour("base_color", material.colour.factor)
@@ -242,7 +225,7 @@ def _standard(shader: Shader, material: PbrMaterial) -> None:
     if metal == 1:
         return
     shader.number("transmission", 1.0)
-    shader.boolean("thin_walled", material.thin)
+    shader.input("thin_walled", "Bool", material.thin)
     # Light crosses a solid twice.
     tint = np.array(material.colour.factor) ** (1.0 if material.thin else 0.5)
     absorption = np.array(material.absorption or (0.0, 0.0, 0.0))

@@ -24,7 +24,7 @@ from lumitree.fit.result import BakeResult
 from lumitree.lamp.dataset import Dataset
 from lumitree.lamp.diagnosis import warn_of_faults
 from lumitree.lamp.source import Kind, as_source, dataset_folder, refuse_options, source_kind
-from lumitree.measure.irradiance_check import check_irradiance_paths
+from lumitree.measure.irradiance import check_irradiance_paths
 from lumitree.rendering.asset_cache import open_asset
 
 if TYPE_CHECKING:
@@ -189,7 +189,7 @@ def _check_parts(config: BakeConfig, source: object, kind: Kind, part: Part) -> 
 
 
 def _bake_photometric(source: Any, output: FilePath | None, config: BakeConfig) -> BakeResult:
-    from lumitree.formats.file_bakes import bake_file
+    from lumitree.formats.photometric_file import bake_file
     from lumitree.rendering.asset_flux import with_light
 
     described, watch = as_source(source), Stopwatch()
@@ -335,9 +335,11 @@ def refine(
         watch = Stopwatch()
         with watch.stage("bake"):
             fit = octree_fit.refine(rough, lamp, octree, at.path, seed)
+        light = rough.light_field
         better = dataclasses.replace(
             fit.asset,
-            light_field=rough.light_field,
+            # A light field of the rough field's rays is made again (`field_light`).
+            light_field=None if light is None or light.traced is None else light,
             geometry=rough.geometry,
             light_factors=rough.light_factors,
         )

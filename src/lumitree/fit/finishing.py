@@ -13,9 +13,10 @@ from lumitree.core.files import FilePath, WorkFolder, WriteError, scratch_folder
 from lumitree.core.interruption import deferred_interrupt, interruptible, interruption_behind
 from lumitree.core.results import Stopwatch
 from lumitree.errors import LumitreeError, shown
+from lumitree.fit.field_light import with_field_light
 from lumitree.fit.result import BakeResult
 from lumitree.lamp.dataset import DATASET_FILES
-from lumitree.measure.irradiance_check import measure_irradiance
+from lumitree.measure.irradiance import measure_irradiance
 
 if TYPE_CHECKING:
     from lumitree.lamp.luminaire import Luminaire
@@ -72,6 +73,8 @@ def finish_bake(
 ) -> BakeResult:
     """Write an asset with the spectrum of its luminaire, and compare the irradiance around both.
 
+    An asset with a radiance field only gets a light field (`with_field_light`).
+
     Args:
         watch: measures the stage "irradiance"; all its times become the result's.
         luminaire: what was baked; None: the asset keeps its spectrum, and the irradiance is not
@@ -85,9 +88,9 @@ def finish_bake(
         from lumitree.trace.flux import emitted_spectrum
 
         asset = dataclasses.replace(asset, spectrum=emitted_spectrum(luminaire))
-    asset = as_stored(asset)
     irradiance, complete = None, stopped_by is None
     with deferred_interrupt() as interruption:
+        asset = as_stored(with_field_light(asset))
         path = save_asset(asset, output)
     stopped_by = interruption.number if stopped_by is None else stopped_by
     compares = luminaire is not None and irradiance_paths > 0

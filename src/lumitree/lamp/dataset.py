@@ -184,7 +184,7 @@ class Dataset:
         """Read the views one by one.
 
         Raises:
-            LumitreeError: views are missing or damaged, or their size is not that of the manifest.
+            LumitreeError: views are missing or damaged, or their size is not the manifest's.
         """
         missing = self.missing()
         if missing:

@@ -20,8 +20,7 @@ from lumitree.asset.asset import Asset
 from lumitree.asset.light_field import LightField, unpack
 from lumitree.core.harmonics import MAX_L, Y_00, basis_array
 from lumitree.core.octahedral import middle_directions, solid_angles
-from lumitree.octree.build import build_children
-from lumitree.octree.leaves import grid_boxes_inside
+from lumitree.octree.build import build_children, grid_boxes_inside
 
 # Density of all leaves, per local unit. The longest ray, of 2 √3, loses 5 % of what is behind it.
 DENSITY = 2.0**-6
@@ -38,7 +37,7 @@ _DARK, _LARGEST = 1e-3, 100.0
 
 
 def light_as_field(asset: Asset) -> Asset:
-    """The asset with a field that is made of its light field, in place of its own.
+    """The asset with a field that is made of its light field, in place of another one.
 
     The emission is fitted by spherical harmonics up to l = 4, and each cell keeps its flux. Beams
     of less than about 20 degrees become as wide as that.
@@ -95,17 +94,17 @@ def brightest_view(asset: Asset) -> tuple[float, float]:
 
 def _by_bin(light: LightField) -> NDArray[np.float64]:
     """Mean intensity [C, B, 3] of bins, `_RESOLUTION` a side."""
-    own = light.resolution
+    given = light.resolution
     # Larger bins are divided.
-    fine = max(own, _RESOLUTION)
+    fine = max(given, _RESOLUTION)
     shape = _RESOLUTION, fine // _RESOLUTION, _RESOLUTION, fine // _RESOLUTION
     weight = solid_angles(fine).reshape(shape)
     weight = weight / weight.sum(axis=(1, 3), keepdims=True)
     colours = unpack(light.intensity) * light.scale
     means = []
     for channel in range(3):
-        dense = light.dense(colours[:, channel]).reshape(-1, own, own)
-        dense = dense.repeat(fine // own, axis=1).repeat(fine // own, axis=2)
+        dense = light.dense(colours[:, channel]).reshape(-1, given, given)
+        dense = dense.repeat(fine // given, axis=1).repeat(fine // given, axis=2)
         means.append(np.einsum("ciajb,iajb->cij", dense.reshape(-1, *shape), weight))
     return np.stack(means, axis=-1).reshape(len(light.cells), -1, 3)
 
@@ -113,7 +112,7 @@ def _by_bin(light: LightField) -> NDArray[np.float64]:
 class _Fit:
     """Least squares of sigmoid(c · Y) - wanted over directions, for many rows at once.
 
-    By the method of Levenberg and Marquardt, each row with a damping of its own. The basis Y has
+    By the method of Levenberg and Marquardt, with a damping for each row. The basis Y has
     the values [B, K].
     """
 

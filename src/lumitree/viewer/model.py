@@ -12,9 +12,11 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.asset.array_stream import Arrays
 from lumitree.asset.asset import Asset
 from lumitree.core.device import on_device
 from lumitree.core.octahedral import octahedral
+from lumitree.core.results import Json
 from lumitree.exports.surfaces import geometry_meshes, meshed
 from lumitree.rendering.studio import portrait_half_width, studio_lights
 from lumitree.rendering.surface_radiance import vertex_radiance
@@ -40,12 +42,12 @@ class PageModel:
         arrays: codes by name: "positions" [V, 3], "normals" [V, 2], "places" [V, 2] on the
             image of their pattern, "light" [V, 6] of the front's and the back's R, G and B, which
             the pattern is a factor of, and "soft" [V, 6], the same by the light of the studio
-            alone; "triangles" [F, 3], vertices; and "surfaces" [F], rows of the description's
+            only; "triangles" [F, 3], vertices; and "surfaces" [F], rows of the description's
             "surfaces".
     """
 
-    description: dict[str, Any]
-    arrays: dict[str, NDArray[Any]]
+    description: Json
+    arrays: Arrays
 
 
 def page_model(asset: Asset) -> PageModel:
@@ -74,7 +76,7 @@ def page_model(asset: Asset) -> PageModel:
     visible = faces[baked], faces[backs]
     light = _sent_out(asset, vertices, means, *visible)
     largest = float(light.max()) or 1.0
-    # The pattern of an emitter is the pattern of its own light.
+    # The pattern of an emitter is the pattern of its emission.
     means[faces[np.array([row.emits for row in rows])[surfaces]]] = 1.0
     lights = studio_lights(portrait_half_width(asset), 1.0)
     soft = _sent_out(_unlit(asset), vertices, means, *visible, lights)
@@ -118,15 +120,15 @@ def _sent_out(
     asset: Asset,
     vertices: NDArray[np.float32],
     pattern: NDArray[np.float32],
-    fronts: NDArray[Any],
-    backs: NDArray[Any],
+    fronts: NDArray[np.integer],
+    backs: NDArray[np.integer],
     lights: Mapping[str, Any] | None = None,
 ) -> NDArray[np.float32]:
     """Mean radiance [V, 6] that vertices send out at front and back, over the mean of a pattern."""
     count = len(vertices)
     if not len(fronts):
         return np.zeros((count, 6), np.float32)
-    # The back is a surface of its own, whose triangles turn the other way.
+    # The back is another surface, whose triangles turn the other way.
     faces = np.concatenate([fronts, backs[:, ::-1] + count])
     paths = int(np.clip(_PATHS // len(faces), _LEAST_PATHS, _MOST_PATHS))
     both, patterns = np.concatenate([vertices, vertices]), np.concatenate([pattern, pattern])

@@ -174,7 +174,7 @@ def _rgb(values: NDArray[np.float64]) -> RGB:
 
 
 class Patterns:
-    """The patterns of a geometry's shapes, numbered as they are asked for."""
+    """The patterns of a geometry's shapes, numbered in the order of their first use."""
 
     def __init__(self, geometry: AssetGeometry) -> None:
         self._geometry = geometry

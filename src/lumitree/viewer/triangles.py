@@ -83,8 +83,8 @@ class Triangles:
         """Arrays of all meshes.
 
         Returns:
-            Of vertices: positions and normals [V, 3], places on the image of their pattern [V, 2],
-            and means of the pattern over their triangles [V, 3]. Of triangles: vertices [F, 3] and
+            For vertices: positions and normals [V, 3], places on the image of their pattern [V, 2],
+            and means of the pattern over their triangles [V, 3]. For triangles: vertices [F, 3] and
             rows of surfaces [F].
         """
         return tuple(map(np.concatenate, zip(*self._parts, strict=True)))
@@ -156,7 +156,7 @@ def smoothed(
     mean, spread = mesh.spread(first, (_LONGEST / 2) ** 2, _FIRST).T
     density = 4 * np.pi * np.maximum(paths, 1e-9) / mesh.area
     square = np.maximum(spread, 0) / np.maximum(_ERROR * mean, 1e-9) ** 2 / density
-    limit = np.minimum(square[mesh.starts], square[mesh.ends])
+    limit = np.minimum(square[mesh.first], square[mesh.second])
     return mesh.spread(values, np.minimum(limit, _LONGEST**2), _STEPS)
 
 
@@ -165,8 +165,8 @@ class _Mesh:
     """Areas [V] of vertices, and sides of triangles [3 F] with their weights."""
 
     area: NDArray[np.float64]
-    starts: NDArray[np.integer]
-    ends: NDArray[np.integer]
+    first: NDArray[np.integer]
+    second: NDArray[np.integer]
     weight: NDArray[np.float64]
 
     @classmethod
@@ -178,19 +178,19 @@ class _Mesh:
         of_faces = np.repeat(cross, 3, axis=0).T
         normals = np.stack([np.bincount(faces.ravel(), each, count) for each in of_faces], axis=1)
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)
-        starts, ends = np.roll(faces, -1, axis=1).T.ravel(), np.roll(faces, -2, axis=1).T.ravel()
+        first, second = np.roll(faces, -1, axis=1).T.ravel(), np.roll(faces, -2, axis=1).T.ravel()
         opposite = vertices[faces.T.ravel()]
-        products = ((vertices[starts] - opposite) * (vertices[ends] - opposite)).sum(axis=1)
+        products = ((vertices[first] - opposite) * (vertices[second] - opposite)).sum(axis=1)
         cotangent = np.clip(products / np.tile(twice, 3), *_COTANGENTS)
-        cosine = np.maximum((normals[starts] * normals[ends]).sum(axis=1), 0)
-        return cls(np.maximum(area, 1e-12), starts, ends, cotangent / 2 * cosine**_SHARPNESS)
+        cosine = np.maximum((normals[first] * normals[second]).sum(axis=1), 0)
+        return cls(np.maximum(area, 1e-12), first, second, cotangent / 2 * cosine**_SHARPNESS)
 
     def spread(
         self, values: NDArray[np.floating], square: NDArray[np.float64] | float, steps: int
     ) -> NDArray[np.float32]:
         """Solve for values [V, N] by conjugate gradients; `square` is ℓ² of the sides."""
         weight, count = (self.weight * square).astype(np.float32), len(values)
-        links = coo_array((weight, (self.starts, self.ends)), (count, count)).tocsr()
+        links = coo_array((weight, (self.first, self.second)), (count, count)).tocsr()
         links = links + links.T
         area = self.area.astype(np.float32)[:, None]
         diagonal = area + np.asarray(links.sum(axis=1), np.float32)[:, None]

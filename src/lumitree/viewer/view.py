@@ -129,7 +129,7 @@ def make_page(asset: Asset) -> str:
 
 
 def notebook_frame(page: str, height: int = 560) -> str:
-    """HTML of an iframe that holds a page."""
+    """HTML of an iframe with a page."""
     return (
         f'<iframe srcdoc="{html.escape(page)}" style="width:100%;height:{height}px;border:0" '
         'sandbox="allow-scripts" title="lumitree viewer"></iframe>'
@@ -213,15 +213,15 @@ def _handler(content: bytes) -> Callable[..., BaseHTTPRequestHandler]:
                 self.wfile.write(body)
 
         def _is_local(self) -> bool:
-            """Whether the request names this computer: a page elsewhere may have a name of its own
-            for this address (DNS rebinding), and would otherwise be allowed to read the answer.
+            """Whether the request names this computer: a page elsewhere may give this address
+            another name (DNS rebinding), and would otherwise be allowed to read the answer.
             """
             port = self.connection.getsockname()[1]
             allowed = {each for name in _NAMES for each in (name, f"{name}:{port}")}
             hosts = self.headers.get_all("Host", [])
             return len(hosts) == 1 and hosts[0].strip().lower() in allowed
 
-        def log_message(self, format: str, *args: Any) -> None:
+        def log_message(self, format: str, *args: object) -> None:
             """Requests are not logged."""
 
     return Handler

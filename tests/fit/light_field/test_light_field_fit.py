@@ -12,7 +12,7 @@ from lumitree.asset.asset import light_field_asset
 from lumitree.asset.file import save
 from lumitree.asset.light_field import unpack
 from lumitree.core.device import on_device
-from lumitree.core.octahedral import own_solid_angles, solid_angles
+from lumitree.core.octahedral import bin_solid_angles, solid_angles
 from lumitree.core.progress import reporting
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.fit.light_field import bake as module
@@ -61,7 +61,7 @@ def flux(field):
 
 def own_flux(field):
     """Flux [C, R², 3] of the directions of each bin, if its intensity is even over them."""
-    return intensities(field) * own_solid_angles(field.resolution)[:, None]
+    return intensities(field) * bin_solid_angles(field.resolution)[:, None]
 
 
 def directions(mi, resolution, fine=4):
@@ -117,7 +117,7 @@ def test_a_sphere_emits_alike_into_all_directions(mi, field):
     """Its intensity is π R² L, local R = 1; each cell's light is that of its own normals."""
     found = intensities(field).sum(axis=0)
     expected = np.pi * RADIANCE
-    counts = CONFIG.paths * own_solid_angles(16) / (4 * np.pi)
+    counts = CONFIG.paths * bin_solid_angles(16) / (4 * np.pi)
     scores = (found / expected - 1) * np.sqrt(counts)[:, None]
     assert np.abs(scores).max() < 5
     assert scores[:, 0].std() == pytest.approx(1, abs=5 / np.sqrt(2 * 256))
@@ -136,7 +136,7 @@ def test_a_flat_emitter_follows_the_cosine(mi, tmp_path):
     down = -directions(mi, 16)[..., 2]
     expected = 0.2**2 * RADIANCE * np.maximum(down, 0).mean(axis=1)[:, None]
     assert (found[(down < 0).all(axis=1)] == 0).all()
-    counts = (1 << 19) * np.maximum(down, 0).mean(axis=1) * own_solid_angles(16) / np.pi
+    counts = (1 << 19) * np.maximum(down, 0).mean(axis=1) * bin_solid_angles(16) / np.pi
     error = expected * np.sqrt(1 / np.maximum(counts, 1) + 0.01**2)[:, None]
     lit = (down > 0.1).all(axis=1)
     assert lit.sum() > 80

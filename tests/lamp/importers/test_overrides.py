@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from lumitree.asset.geometry import Medium
 from lumitree.core.photometry import blackbody_colour, flux_from_radiance
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.lamp.importers.overrides import (
@@ -17,7 +18,7 @@ from lumitree.lamp.importers.overrides import (
     select_parts,
 )
 from lumitree.lamp.meshes import Mesh
-from lumitree.lamp.parts import Diffuse, Geometry, Glass, Material, Medium, Metal, Part, Principled
+from lumitree.lamp.parts import Diffuse, Geometry, Glass, Material, Metal, MetallicRoughness, Part
 from lumitree.lamp.scene_writer import MaskedEmission
 
 
@@ -74,7 +75,7 @@ def test_other_surfaces(changed):
     assert changed("metal = { tint = [1, 0.5, 0.25] }").surface == Metal((1, 0.5, 0.25))
     assert changed("diffuse = { reflectance = 0 }").surface == Diffuse((0, 0, 0))
     found = changed("principled = { base_color = 0.2, metallic = 1, roughness = 0 }\nopacity = 0.5")
-    assert found.surface == Principled((0.2, 0.2, 0.2), 1.0, 0.0)
+    assert found.surface == MetallicRoughness((0.2, 0.2, 0.2), 1.0, 0.0)
     assert (found.opacity, found.two_sided) == (0.5, True)
 
 
@@ -156,7 +157,7 @@ def test_media_of_the_file_are_rescaled_and_those_of_overrides_are_per_metre(wri
         ("units =", "not valid TOML"),
         (b"units = '\xff'", "not valid TOML"),
         ("a = " + "[" * 5000, "not valid TOML"),
-        ("unit = 'm'", "unknown key 'unit'; known here: material, units, up, variant"),
+        ("unit = 'm'", "unknown key 'unit'; did you mean 'units'?"),
         ("units = 'km'", "units is 'km'; expected one of m, cm"),
         ("units = 0", "units is '0'"),
         ("up = 'x'", "up is 'x'; expected 'y' or 'z'"),
@@ -166,7 +167,7 @@ def test_media_of_the_file_are_rescaled_and_those_of_overrides_are_per_metre(wri
         ("[material.a]\nglass = 1", "material.a.glass is '1'; expected a table"),
         ("[material.a]\nglass = { ior = 1 }", "glass.ior is '1'; expected a number above 1"),
         ("[material.a]\nglass = { thin = 1 }", "glass.thin is '1'; expected true or false"),
-        ("[material.a]\nglass = { tint = [1, 1, 1.5] }", "from 0 to 1"),
+        ("[material.a]\nglass = { tint = [1, 1, 1.5] }", "glass.tint"),
         ("[material.a]\nglass = { absorption = -1 }", "glass.absorption is '-1'"),
         ("[material.a]\nglass = { thin = true, roughness = 0.1 }", "a thin sheet has no roughness"),
         ("[material.a]\nglass = {}\nmetal = {}", "material.a has 2 surfaces"),

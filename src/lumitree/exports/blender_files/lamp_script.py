@@ -1,13 +1,13 @@
 """A lamp for Blender 4.2 or newer, written by lumitree. It needs no other file.
 
     blender --python lamp.py                                  # adds the lamp to the open scene
-    blender --background --python lamp.py -- lamp.blend       # writes a file with the lamp alone
+    blender --background --python lamp.py -- lamp.blend       # writes a file with the lamp only
     python lamp.py lamp.blend                                 # the same, with the module bpy
 
 In Blender: Scripting, Open, Run Script. The lamp is a collection of the scene. Move, rotate and
 scale its empty. Its property "gain" is a factor on the light, and "tint" has factors on red, green
 and blue; "watts" is the flux without these factors at a scale of 1. Lengths are metres, z is up.
-Point lights illuminate the scene. Camera rays and mirror images show the lamp's own surfaces, which
+Point lights illuminate the scene. Camera rays and mirror images show the lamp's surfaces, which
 neither illuminate nor cast shadows.
 """
 
@@ -183,7 +183,7 @@ def set_value(socket, value):
 def drive(owner, path, empty, expression, channel=-1):
     """A driver by `VARIABLES` and `scale` of the lamp's empty; Blender needs no permission for it.
 
-    Names in the expression stand between spaces. `channel` is that of a colour.
+    Names in the expression stand between spaces. `channel` is the channel of a colour.
     """
     driver = owner.driver_add(path, channel).driver
     words = set(expression.split())
@@ -231,7 +231,7 @@ def add_lamp(scene):
 
 
 def main(arguments):
-    """Add the lamp to the open scene, or write a file with it alone."""
+    """Add the lamp to the open scene, or write a file with it only."""
     if not arguments:
         add_lamp(bpy.context.scene)
         return
@@ -241,12 +241,12 @@ def main(arguments):
     bpy.ops.wm.save_as_mainfile(filepath=arguments[0], compress=True)
 
 
-def own_arguments(arguments):
-    """What follows `--` for Blender, and what follows the script's name for Python."""
+def script_arguments(arguments):
+    """The arguments after `--` for Blender, and after the script's name for Python."""
     if bpy.app.binary_path:
         return arguments[arguments.index("--") + 1 :] if "--" in arguments else []
     return arguments[1:]
 
 
 if __name__ == "__main__":
-    main(own_arguments(sys.argv))
+    main(script_arguments(sys.argv))

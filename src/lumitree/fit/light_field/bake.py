@@ -28,7 +28,7 @@ from lumitree.asset.light_field_file import (
 from lumitree.core.checkpoint import Checkpoint
 from lumitree.core.executor import run_tasks
 from lumitree.core.files import json_text
-from lumitree.core.octahedral import intensity_of_histogram, own_solid_angles, solid_angles
+from lumitree.core.octahedral import bin_solid_angles, intensity_of_histogram, solid_angles
 from lumitree.core.photometry import luminance
 from lumitree.core.progress import progress
 from lumitree.core.reading import Record, parse_json
@@ -115,7 +115,7 @@ def bake_light_field(
         count=batches * config.batch,
         seeds=(seed,),
         luminaire=luminaire.fingerprint,
-        noise=relative_noise(np.array(by_direction) / own_solid_angles(config.resolution)),
+        noise=relative_noise(np.array(by_direction) / bin_solid_angles(config.resolution)),
     )
     flux, bent = leaving.flux, leaving.bent
     intensity = intensity_of_histogram(flux)
