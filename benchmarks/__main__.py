@@ -8,14 +8,13 @@ from collections.abc import Sequence
 from typing import Any
 
 import benchmarks
-from benchmarks.common.options import add_common
+from benchmarks.common.options import Parser, add_common
 from benchmarks.common.setting import command_line
-from lumitree.cli.options import Formatter, Parser
 from lumitree.core.backend import load_mitsuba
 from lumitree.errors import LumitreeError
 
 
-class _Formatter(Formatter, argparse.RawDescriptionHelpFormatter):
+class _Formatter(argparse.ArgumentDefaultsHelpFormatter, argparse.RawDescriptionHelpFormatter):
     """Shows defaults, and docstrings with their own line breaks."""
 
 

@@ -264,7 +264,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    from lumitree.rendering.denoise import check_denoiser
+    from lumitree.rendering.layers import check_denoiser
 
     check_denoiser()
     if unknown := sorted(set(options.scenes) - set(SCENES)):

@@ -89,7 +89,7 @@ def shows_diffuse(scene: Any) -> NDArray[np.bool_]:
     import mitsuba as mi
 
     from lumitree.core.device import on_device
-    from lumitree.rendering.plugins.proxies import NONE, DividedScene
+    from lumitree.rendering.proxies import NONE, DividedScene
 
     sensor = scene.sensors()[0]
     width, height = sensor.film().size()

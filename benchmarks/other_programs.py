@@ -96,7 +96,7 @@ def reference(asset: Any, plane: Plane, options: argparse.Namespace) -> Found:
         points=plane.points,
         normals=plane.normals,
         error=options.error,
-        direct_only=True,
+        direct=True,
         seed=options.seed,
     )
     return Found(found.direct, found.direct_error, "lumitree")

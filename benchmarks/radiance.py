@@ -57,7 +57,7 @@ def measure(case: Case, options: argparse.Namespace) -> list[dict[str, Any]]:
             [placement],
             planes=[plane],
             error=options.error,
-            direct_only=case.black,
+            direct=case.black,
             seed=options.seed,
         )
         seconds = time.process_time() - start

@@ -95,7 +95,7 @@ def _no_scenes_of_other_modules():
 def mi():
     """Mitsuba with the plugins registered."""
     from lumitree.core.backend import load_mitsuba
-    from lumitree.rendering.plugins.register import register
+    from lumitree.rendering.register import register
 
     mitsuba = load_mitsuba(VARIANT)
     register()

@@ -13,7 +13,6 @@ from lumitree import demo
 from lumitree.core.files import WorkFolder
 from lumitree.core.frames import rotation, similarity
 from lumitree.fit.config import BakeConfig
-from lumitree.rendering.asset_cache import open_field
 from support import tiny_bakes
 from support.fields import random_asset
 from support.light_fields import assert_equal_fields
@@ -219,8 +218,6 @@ def test_lines_of_an_asset_are_those_of_the_reference(mi):
         np.testing.assert_allclose(radiance[index], expected, rtol=2e-3, atol=1e-4)
         assert through[index] == pytest.approx(transmittance, abs=1e-3)
     assert asset.eval(np.zeros((0, 3)), np.zeros((0, 3)))[0].shape == (0, 3)
-    # What renders the asset finds the same copy open.
-    assert open_field(asset) is open_field(asset)
     for bad in (np.zeros((4, 3)), np.full((4, 3), np.nan), np.ones((3, 3)), np.ones(3)):
         with pytest.raises(lumitree.LumitreeError):
             asset.eval(np.zeros((4, 3)), bad)

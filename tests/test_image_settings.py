@@ -49,7 +49,7 @@ def test_renders_and_what_is_mixed_of_them():
     assert comment("a.exr") == comment("layers.exr") == comment("buffers.exr") == first
     lumitree.mix("layers.exr", {"Küche": 0.5}).save("mixed.png")
     mixed = comment("mixed.png")
-    assert mixed["gains"] == {"Küche": [0.5, 0.5, 0.5]}
+    assert mixed["gain"] == {"Küche": [0.5, 0.5, 0.5]}
     assert json.loads(mixed["rendered"]) == first
 
 

@@ -14,8 +14,7 @@ from lumitree.errors import LumitreeError
 from lumitree.formats.ies import write_ies
 from lumitree.formats.ldt import write_ldt
 from lumitree.formats.opening import Opening
-from lumitree.formats.rays import Rays
-from lumitree.formats.tm25 import write_tm25
+from lumitree.formats.tm25 import Rays, write_tm25
 from lumitree.formats.type_c import Grid, IntensityDistribution
 from lumitree.lamp.dataset import MANIFEST
 from lumitree.lamp.source import LuminaireSource, source_kind
@@ -107,7 +106,7 @@ def lux_below(distance, placement, unit="m"):
         "floor": {"type": "sphere", "center": [0, -2 * distance, 0], "radius": distance / 9},
     }
     found = lumitree.illuminance(
-        room, [placement], planes=[plane], unit=unit, direct_only=True, progress=None
+        room, [placement], planes=[plane], unit=unit, direct=True, progress=None
     )
     return float(found.total[0])
 
@@ -170,7 +169,7 @@ def test_a_placed_file_has_the_flux_and_the_colour_that_are_asked_for():
     placement = lumitree.Placement("a.ies", size=0.4, lumens=800, temperature=2700)
     assert placement.is_baked
     placed = PlacedLuminaire(placement)
-    watts = asset_watts(placed.field.asset) * placed.gain
+    watts = asset_watts(placed.asset) * placed.gain
     assert luminance(watts) == pytest.approx(800)
     assert colour_temperature(watts)[0] == pytest.approx(2700, rel=1e-3)
 

@@ -49,7 +49,7 @@ def left():
 
 def test_a_signal_while_mitsuba_makes_a_plugin_ends_the_command(monkeypatch, capfd):
     """Mitsuba turns it into RuntimeError."""
-    from lumitree.rendering.plugins import shape as proxy_shape
+    from lumitree.rendering import shapes as proxy_shape
 
     make = proxy_shape._proxy
 

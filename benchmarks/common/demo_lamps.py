@@ -71,7 +71,7 @@ def shows_diffuse(asset: Any, width: int, room: Any = None) -> NDArray[np.bool_]
 
     from lumitree.core.device import on_device
     from lumitree.rendering.demo_room import LAMP_CENTRE, LAMP_SIZE, demo_room
-    from lumitree.rendering.sampling.proxy import safe_inverse, slab
+    from lumitree.rendering.sampling import safe_inverse, slab
 
     room = demo_room(width) if room is None else room
     sensor = room.sensors()[0]

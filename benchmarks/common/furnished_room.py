@@ -51,8 +51,8 @@ def furnished_room(columns: int, rows: int, width: int) -> Any:
     """A furnished room (mi.Scene) of some bays; y is up."""
     import mitsuba as mi
 
-    from lumitree.rendering.plugins.objects import load_ordered
-    from lumitree.rendering.plugins.register import register
+    from lumitree.rendering.objects import load_ordered
+    from lumitree.rendering.register import register
 
     register()
     x, z = columns * BAY, rows * BAY

@@ -2,9 +2,17 @@
 
 import argparse
 from pathlib import Path
+from typing import NoReturn
 
 from benchmarks.common.results import RESULTS
-from lumitree.cli.options import add_variant
+from lumitree.errors import LumitreeError
+
+
+class Parser(argparse.ArgumentParser):
+    """Argument parser that raises `LumitreeError`."""
+
+    def error(self, message: str) -> NoReturn:
+        raise LumitreeError(f"{message}; see '{self.prog} --help'")
 
 
 def add_common(parser: argparse.ArgumentParser) -> None:
@@ -17,7 +25,7 @@ def add_common(parser: argparse.ArgumentParser) -> None:
         default=RESULTS,
         help="folder of the result files (default: benchmarks/results)",
     )
-    add_variant(parser)
+    parser.add_argument("--variant", metavar="NAME", help="Mitsuba variant (default: llvm_ad_rgb)")
 
 
 def add_seed(parser: argparse.ArgumentParser) -> None:

@@ -10,8 +10,8 @@ from benchmarks.inside_box.patches import NORMALS, Floats, Rectangle
 from benchmarks.inside_box.received import received_irradiance
 from lumitree.asset.asset import Asset
 from lumitree.core.photometry import LUMA
+from lumitree.rendering.emitter import Appearance
 from lumitree.rendering.placement import Placement
-from lumitree.rendering.plugins.placed import Appearance
 from lumitree.rendering.scene import PlacedLuminaire, place_luminaires
 
 # Receivers of an estimate, at least, and samples of each.

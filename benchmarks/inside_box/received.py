@@ -9,12 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lumitree.core.seeds import Purpose, SeedStream
-from lumitree.measure.illuminance.light import emitter_light, receivers
-from lumitree.rendering.plugins.deferred_emitter import DeferredEmitter
-from lumitree.rendering.plugins.integrator import DEFAULT_RR_DEPTH, trace_paths
-from lumitree.rendering.plugins.path_scene import PathScene
-from lumitree.rendering.plugins.path_state import PathState
-from lumitree.rendering.plugins.proxies import DividedScene
+from lumitree.measure.illuminance_estimate import emitter_light, receivers
+from lumitree.rendering.emitter import lamp_of, lamps_of
+from lumitree.rendering.integrator import DEFAULT_RR_DEPTH, PathScene, PathState, trace_paths
+from lumitree.rendering.proxies import DividedScene
 from lumitree.trace.spawning import spawn
 
 # Samples that are computed at once.
@@ -39,9 +37,8 @@ def received_irradiance(
     """
     points = np.asarray(points, np.float64).reshape(-1, 3)
     normals = np.asarray(normals, np.float64).reshape(-1, 3)
-    for emitter in scene.emitters():
-        if isinstance(emitter, DeferredEmitter):
-            emitter.light_inside()
+    for lamp in lamps_of(scene.emitters()).values():
+        lamp.light_inside()
     paths = PathScene(scene, DividedScene().of(scene))
     total = np.zeros(points.shape)
     at_once = max(1, _AT_ONCE // len(points))
@@ -72,4 +69,4 @@ def _receive(scene, si, sampler):
 
 def is_baked(emitter: Any, active: Any) -> Any:
     """Whether an emitter is a baked luminaire."""
-    return mi.Bool(isinstance(emitter, DeferredEmitter)) & active
+    return mi.Bool(lamp_of(emitter) is not None) & active

@@ -14,7 +14,7 @@ from lumitree.core.backend import load_mitsuba
 from lumitree.core.files import write_json
 
 if TYPE_CHECKING:
-    from lumitree.rendering.sampling.emitter_sampling import Sampling
+    from lumitree.rendering.emitter import Sampling
 
 
 @dataclasses.dataclass(frozen=True)
@@ -104,14 +104,13 @@ def set_thresholds(scene: Any, way: Way) -> None:
     if (way.min_density, way.max_opacity) == (0.0, 1.0):
         return
     from lumitree.octree.field import Field
-    from lumitree.rendering.plugins.deferred_emitter import DeferredEmitter
+    from lumitree.rendering.emitter import lamp_of
 
-    lamps: list[Any] = [each for each in scene.emitters() if isinstance(each, DeferredEmitter)]
-    for lamp in lamps:
-        field = Field(lamp.placed.asset, way.min_density, way.max_opacity)
-        lamp.placed.field = lamp.get_shape().bsdf().placed.field = field
-        # The sampler was made of the exact field.
-        del lamp.sampler
+    for emitter in scene.emitters():
+        lamp = lamp_of(emitter)
+        if lamp is not None:
+            lamp.field = Field(lamp.asset, way.min_density, way.max_opacity)
+            emitter.get_shape().bsdf().placed.field = lamp.field
 
 
 def first_samples(pixels: int) -> int:

@@ -15,7 +15,7 @@ from lumitree.lamp.dataset import Dataset, Frame
 
 if TYPE_CHECKING:
     from lumitree.fit.network.trained_field import TrainedField
-    from lumitree.measure.view_errors import Evaluation
+    from lumitree.measure.evaluate import Evaluation
 
 
 def test_views(work: Work, lamp: str) -> Dataset:
@@ -30,7 +30,7 @@ def large_views(work: Work, lamp: str) -> Dataset:
 
 def score_asset(asset: Path, dataset: Dataset) -> "Evaluation":
     """Errors of the field of an asset, by the renderer's exact traversal."""
-    from lumitree.measure.view_errors import evaluate_views
+    from lumitree.measure.evaluate import evaluate_views
 
     return evaluate_views(load(asset), dataset)
 
@@ -38,7 +38,7 @@ def score_asset(asset: Path, dataset: Dataset) -> "Evaluation":
 def score_network(run: Path, dataset: Dataset) -> "Evaluation":
     """Errors of the networks themselves, by a ray through each pixel's centre, as in training."""
     from lumitree.fit.network.trained_field import load_field
-    from lumitree.measure.view_errors import compare_views
+    from lumitree.measure.evaluate import compare_views
 
     field = load_field(run)
     return compare_views(lambda frame: network_view(field, dataset, frame), dataset)

@@ -49,8 +49,8 @@ class Room:
 
     def mitsuba(self) -> Any:
         """The room (mi.Scene)."""
-        from lumitree.rendering.plugins.objects import load_ordered
-        from lumitree.rendering.plugins.register import register
+        from lumitree.rendering.objects import load_ordered
+        from lumitree.rendering.register import register
 
         register()
         return load_ordered(self.described())

@@ -58,22 +58,19 @@ from .measure.evaluate import EvaluateResult as EvaluateResult
 from .measure.evaluate import evaluate as evaluate
 from .measure.glare import Glare as Glare
 from .measure.glare import glare as glare
-from .measure.illuminance.areas import Plane as Plane
-from .measure.illuminance.areas import Surface as Surface
-from .measure.illuminance.illuminance import AreaFigures as AreaFigures
-from .measure.illuminance.illuminance import IlluminanceResult as IlluminanceResult
-from .measure.illuminance.illuminance import illuminance as illuminance
-from .measure.photometry.figures import (
+from .measure.illuminance import IlluminanceResult as IlluminanceResult
+from .measure.illuminance import illuminance as illuminance
+from .measure.near_field import NearFieldLimit as NearFieldLimit
+from .measure.photometric_figures import (
     Estimate as Estimate,
 )
-from .measure.photometry.figures import (
+from .measure.photometric_figures import (
     PhotometricFigures as PhotometricFigures,
 )
-from .measure.photometry.near_field import NearFieldLimit as NearFieldLimit
-from .measure.photometry.photometry import (
+from .measure.photometry import (
     PhotometryResult as PhotometryResult,
 )
-from .measure.photometry.photometry import (
+from .measure.photometry import (
     photometry as photometry,
 )
 from .measure.preview import (
@@ -85,13 +82,16 @@ from .measure.preview import (
 from .measure.preview import (
     preview as preview,
 )
+from .measure.receivers import AreaFigures as AreaFigures
+from .measure.receivers import Plane as Plane
+from .measure.receivers import Surface as Surface
 from .rendering.asset_cache import load as load
 from .rendering.mixture import MixResult as MixResult
 from .rendering.mixture import mix as mix
 from .rendering.placement import Placement as Placement
 from .rendering.placement_file import read_placements as read_placements
-from .rendering.plugins.register import register as register
-from .rendering.plugins.register import shape as shape
+from .rendering.register import register as register
+from .rendering.register import shape as shape
 from .rendering.render import RenderResult as RenderResult
 from .rendering.render import render as render
 from .trace.light_field_config import LightFieldConfig as LightFieldConfig

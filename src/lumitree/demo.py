@@ -77,7 +77,7 @@ def _render_room(output: Path, asset: str, seconds: float) -> dict[str, RenderRe
     from lumitree.core.drawing import write_strip
     from lumitree.core.view_transform import room_exposure
     from lumitree.rendering.demo_room import demo_room, lamp
-    from lumitree.rendering.denoise import check_denoiser
+    from lumitree.rendering.layers import check_denoiser
 
     try:
         check_denoiser()

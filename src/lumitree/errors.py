@@ -2,6 +2,7 @@
 
 import copyreg
 import functools
+import inspect
 import re
 from collections.abc import Callable, Iterable
 from typing import Any, TypeVar, cast
@@ -57,15 +58,32 @@ def shown_names(names: Iterable[str]) -> str:
     return listed + more if names else "none with a name"
 
 
-def explained(function: F) -> F:
-    """Decorator that turns errors of the system, of memory and of readers into a `LumitreeError`.
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """The end of a message about an unknown name: the nearest known one, or all of them."""
+    import difflib
 
-    It handles errors that readers of files do not explain. The decorated function keeps its type,
-    so that an editor finds where an argument is passed.
+    known = list(known)
+    if nearest := difflib.get_close_matches(name, known, 1):
+        return f"; did you mean {nearest[0]!r}?"
+    return f"; expected {', '.join(known)}"
+
+
+def explained(function: F) -> F:
+    """Decorator of public functions, with errors of a kind that users can read.
+
+    Errors of the system, of memory and of readers for which readers of files have no message become
+    a `LumitreeError`, and the `TypeError` for an unknown keyword names the nearest known one. The
+    type of the result is the type of the function, so that an editor finds where an argument is
+    passed.
     """
+    known = inspect.signature(function).parameters
+    takes_any = any(each.kind is inspect.Parameter.VAR_KEYWORD for each in known.values())
 
     @functools.wraps(function)
     def run(*args: Any, **kwargs: Any) -> Any:
+        for name in () if takes_any else kwargs.keys() - known.keys():
+            hint = did_you_mean(name, known)
+            raise TypeError(f"{function.__name__}() has no argument {name!r}{hint}")
         try:
             return function(*args, **kwargs)
         except OSError as error:

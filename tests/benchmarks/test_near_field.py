@@ -46,7 +46,7 @@ def camera_irradiance(mi, luminaire, rectangle):
     """[2, P²] irradiance by camera paths, and its standard error."""
     import drjit as dr
 
-    from lumitree.rendering.plugins.register import register
+    from lumitree.rendering.register import register
 
     register()
     frame, count = luminaire.frame, rectangle.patches**2

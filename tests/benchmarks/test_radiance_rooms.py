@@ -47,7 +47,7 @@ def both(folder, kind, boxes, bounces, error, **options):
         points=POINTS,
         normals=NORMALS,
         error=error,
-        direct_only=bounces == 0,
+        direct=bounces == 0,
     )
     program = Radiance(folder)
     scene = radiance_text(boxes) + program.photometric_source(file, at)

@@ -18,8 +18,7 @@ from lumitree.formats.light_field import (
     bake_rays,
 )
 from lumitree.formats.opening import Opening
-from lumitree.formats.rays import Rays
-from lumitree.formats.tm25 import write_tm25
+from lumitree.formats.tm25 import Rays, write_tm25
 from lumitree.formats.type_c import Grid, IntensityDistribution, direction_of, z_up
 from lumitree.rendering.asset_flux import asset_lumens, asset_watts
 from lumitree.trace.light_field_config import LightFieldConfig

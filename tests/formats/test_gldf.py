@@ -11,12 +11,13 @@ from lumitree.core.frames import rotation
 from lumitree.core.octahedral import middle_directions
 from lumitree.core.photometry import flux_from_radiance, luminance
 from lumitree.errors import LumitreeError, LumitreeWarning
-from lumitree.formats import l3d_geometry, light_sources
-from lumitree.formats.archive import Archive
+from lumitree.formats import l3d as l3d_module
+from lumitree.formats import light_sources
 from lumitree.formats.ies import write_ies
 from lumitree.formats.l3d import read_l3d, zxy
 from lumitree.formats.ldt import write_ldt
 from lumitree.formats.opening import Opening
+from lumitree.formats.reading import Archive
 from lumitree.formats.type_c import Grid, IntensityDistribution
 from lumitree.lamp.source import LuminaireSource, gldf_variant, source_kind
 from lumitree.rendering.asset_flux import asset_lumens
@@ -84,7 +85,7 @@ def starts(asset):
     """Mean place [R², 3] in the lamp's file from which each bin's light starts, and its flux."""
     field = asset.light_field
     from lumitree.asset.light_field import unpack
-    from lumitree.octree.leaves import grid_boxes_inside
+    from lumitree.octree.build import grid_boxes_inside
 
     flux = field.dense(luminance(unpack(field.intensity))) * field.scale
     lower, upper = grid_boxes_inside(asset.frame.half_extents, field.cells, field.depth)
@@ -270,11 +271,11 @@ def test_the_product_states_the_flux(made):
     )
 
 
-def test_emergency_operation_is_left_out(made):
+def test_emergency_operation_is_not_read(made):
     only = emitter("f", attributes='emergencyBehaviour="EmergencyOnly"')
     xml = product(variant(in_model({"leo": "e", "other": "f"})), emitter() + only)
     model = l3d(structure(part(light() + light("other"))))
-    with pytest.warns(LumitreeWarning, match="emergency operation are left out"):
+    with pytest.warns(LumitreeWarning, match="emergency operation are not read"):
         assert asset_lumens(lumitree.load(made(xml, model))) == pytest.approx(
             lobe().lumens, rel=5e-3
         )
@@ -301,7 +302,7 @@ def test_names_that_lead_out_of_a_folder_are_read_and_never_written(made, monkey
     made(model=l3d(xml, **{"../../../out_obj": obj(), "../x_png": b"x", "/x_png": b"x"}))
     written = []
     with monkeypatch.context() as patch:
-        patch.setattr(l3d_geometry, "write_bytes", lambda name, _: written.append(str(name)))
+        patch.setattr(l3d_module, "write_bytes", lambda name, _: written.append(str(name)))
         with pytest.warns(LumitreeWarning, match="without its 3D model"):
             lumitree.load(path)
     assert [name.rpartition("lamp.gldf")[2] for name in written] == [

@@ -5,8 +5,7 @@ import contextlib
 import pytest
 
 from lumitree.errors import LumitreeWarning
-from lumitree.formats.ies import read_ies, write_ies
-from lumitree.formats.ies_fields import GENERATIONS, SIMULATED, second_number
+from lumitree.formats.ies import GENERATIONS, SIMULATED, read_ies, second_number, write_ies
 
 ACCREDITED = "1.10000"
 

@@ -8,10 +8,9 @@ import pytest
 from PIL import Image
 
 from lumitree.errors import LumitreeError, LumitreeWarning
-from lumitree.formats.archive import Archive
-from lumitree.formats.gldf_asset import bake_gldf
+from lumitree.formats.gldf import bake_gldf
+from lumitree.formats.reading import Archive, parse_xml
 from lumitree.formats.tm33 import read_tm33
-from lumitree.formats.xml_tree import parse_xml
 from support.gldf_files import l3d, light, obj, part, product, structure, surface
 from support.photometric_types import ies
 from support.tm33_files import table, tm33

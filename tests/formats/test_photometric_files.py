@@ -9,7 +9,7 @@ from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.formats.ies import read_ies, write_ies
 from lumitree.formats.ldt import read_ldt, write_ldt
 from lumitree.formats.opening import Opening
-from lumitree.formats.photometric_text import date_of_writing
+from lumitree.formats.reading import date_of_writing
 from lumitree.formats.type_c import Grid, IntensityDistribution, direction_of
 
 

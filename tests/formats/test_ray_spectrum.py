@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lumitree.core.photometry import WAVELENGTHS, matching_functions, sampled_spectrum
-from lumitree.formats.ray_spectrum import rays_spectrum
+from lumitree.formats.tm25 import rays_spectrum
 
 BLUE, RED = np.array([[440.0, 0], [450, 2], [460, 0]]), np.array([[600.0, 1], [700, 1]])
 

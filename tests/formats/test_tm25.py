@@ -11,8 +11,7 @@ from lumitree.core.photometry import (
     luminance,
 )
 from lumitree.errors import LumitreeError, LumitreeWarning
-from lumitree.formats.rays import Rays
-from lumitree.formats.tm25 import read_tm25, write_tm25
+from lumitree.formats.tm25 import Rays, read_tm25, write_tm25
 from support.tm25_files import HEADER, file_bytes
 
 

@@ -144,7 +144,7 @@ def test_no_number_that_is_not_finite_reaches_a_file(lumens):
     with pytest.raises(LumitreeError, match=r"flux of the bare emitters of lamp is -?(nan|inf|1) "):
         IntensityDistribution("lamp", grid.c, grid.gamma, values, emitted_lumens=lumens)
     for wrong in (np.nan, np.inf):
-        with pytest.raises(LumitreeError, match="intensities hold NaN"):
+        with pytest.raises(LumitreeError, match="intensities that are NaN"):
             IntensityDistribution("lamp", grid.c, grid.gamma, values * wrong)
         with pytest.raises(LumitreeError, match="the opening is"):
             Opening((wrong, 0.0, 1.0))

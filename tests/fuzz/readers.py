@@ -24,16 +24,16 @@ from lumitree.asset.asset import EmittedSpectrum, light_field_asset
 from lumitree.asset.file import load
 from lumitree.asset.light_field import TracedPaths
 from lumitree.errors import LumitreeError
-from lumitree.formats.archive import Archive
 from lumitree.formats.gldf import KIND, read_variant
 from lumitree.formats.ies import read_ies
 from lumitree.formats.l3d import KIND as L3D_KIND
 from lumitree.formats.l3d import read_l3d
 from lumitree.formats.ldt import read_ldt
+from lumitree.formats.reading import Archive
 from lumitree.formats.tm25 import read_tm25
 from lumitree.formats.tm33 import read_tm33
 from lumitree.lamp.read_source import read_model
-from lumitree.measure.illuminance.areas import read_points
+from lumitree.measure.receivers import read_points
 from lumitree.rendering.placement_file import read_placements
 from support import gldf_files
 from support.asset_drafts import CHANGES, Draft
@@ -293,7 +293,7 @@ def _read_gldf(path):
 def _bake_gldf(path):
     from fuzz.rendering import coarse_bakes
     from lumitree.errors import explained
-    from lumitree.formats.gldf_asset import bake_gldf
+    from lumitree.formats.gldf import bake_gldf
 
     with coarse_bakes():
         asset = explained(bake_gldf)(path)

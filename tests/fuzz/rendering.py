@@ -12,7 +12,7 @@ from lumitree.formats import light_sources
 from lumitree.lamp.luminaire import load_luminaire
 from lumitree.lamp.stored_geometry import stored_geometry
 from lumitree.rendering.asset_images import shown_images
-from lumitree.rendering.plugins.register import register, shape
+from lumitree.rendering.register import register, shape
 from support.variant import VARIANT
 
 _PIXELS = 4

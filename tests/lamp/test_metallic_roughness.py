@@ -11,7 +11,7 @@ from lumitree.asset.materials import MetallicRoughness
 from lumitree.core.device import on_device
 from lumitree.lamp.meshes import lathe
 from lumitree.lamp.scene_file import register_metallic_roughness
-from lumitree.rendering.plugins.geometry_materials import Materials
+from lumitree.rendering.geometry import Materials
 from support.gltf_builder import Gltf
 
 COSINES = (0.1, 0.35, 0.7, 1.0)

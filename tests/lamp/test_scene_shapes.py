@@ -105,7 +105,7 @@ def test_a_group_of_shapes_is_built_again(mi, kind):
 
 def test_reading_a_scene_does_not_keep_it(mi):
     """Its shapes are freed with it, and not by the garbage collector: their number is free."""
-    from lumitree.rendering.plugins.objects import shape_number
+    from lumitree.rendering.objects import shape_number
 
     gc.collect()
     gc.disable()

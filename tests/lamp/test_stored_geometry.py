@@ -111,7 +111,7 @@ def seen(mi, loaded):
 
 def placed_shapes(mi, geometry, scale=1.0):
     """The shapes of geometry in a scene, where it is `scale` times as large."""
-    from lumitree.rendering.plugins.geometry_shapes import geometry_shapes
+    from lumitree.rendering.geometry import geometry_shapes
 
     placed = SimpleNamespace(
         asset=SimpleNamespace(light_factors=UNIT_FACTORS),

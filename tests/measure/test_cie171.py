@@ -162,7 +162,7 @@ def below_a_square(mi, shapes, lamps):
         points=points,
         normals=normals,
         error=ERROR,
-        direct_only=True,
+        direct=True,
     )
     corners = rectangle((0, HEIGHT, 0), (0.5, 0, 0), (0, 0, 0.5))
     return found, LUMINANCE * np.pi * factor(points, normals, corners)
@@ -208,7 +208,7 @@ def test_the_walls_of_a_box_get_the_flux_of_the_lamp(mi, tmp_path):
     lamps = placed(lamp_file(tmp_path, soft), (0, 0, 0))
     centres, normals, _ = patches(half * (1 - 1e-4), count)
     found = lumitree.illuminance(
-        cube(mi, half, 0.0), lamps, points=centres, normals=normals, error=0.01, direct_only=True
+        cube(mi, half, 0.0), lamps, points=centres, normals=normals, error=0.01, direct=True
     )
     # The sum over middles of patches differs from the integral by 0.06 %.
     area = (2 * half / count) ** 2

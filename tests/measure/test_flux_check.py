@@ -8,8 +8,7 @@ import pytest
 
 from lumitree.errors import LumitreeWarning
 from lumitree.lamp.luminaire import load_luminaire
-from lumitree.measure.flux_check import check_flux
-from lumitree.measure.irradiance import luminaire_irradiance
+from lumitree.measure.irradiance import check_flux, luminaire_irradiance
 from lumitree.trace.flux import estimate_flux, flux_by_camera_paths
 from support.lamps import AREA, GLASS, cube, lamp_of, sphere
 

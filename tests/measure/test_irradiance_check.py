@@ -8,7 +8,7 @@ from lumitree.asset.asset import light_field_asset
 from lumitree.core.results import Stopwatch
 from lumitree.errors import LumitreeWarning
 from lumitree.fit.light_field.bake import bake_light_field
-from lumitree.measure.irradiance_check import measure_irradiance
+from lumitree.measure.irradiance import measure_irradiance
 from lumitree.trace.light_field_config import LightFieldConfig
 from support.lamps import AREA, cube, lamp_of
 

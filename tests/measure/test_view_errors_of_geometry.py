@@ -4,7 +4,7 @@ import pytest
 
 import lumitree
 from lumitree.lamp.luminaire import load_luminaire
-from lumitree.measure.view_errors import evaluate_views
+from lumitree.measure.evaluate import evaluate_views
 from lumitree.trace.cameras import capture
 from support.lamps import AREA, scene, sphere
 from support.tiny_bakes import bake_config

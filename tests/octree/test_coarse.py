@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from lumitree.core.frames import LocalFrame
-from lumitree.octree.build import child_cells
-from lumitree.octree.coarse import COARSE_DEPTH, coarsened
-from lumitree.octree.leaves import leaf_cells
+from lumitree.octree.build import child_cells, leaf_cells
+from lumitree.octree.field import COARSE_DEPTH, coarsened
 from support.fields import make_asset, random_asset
 
 SIDE = 2.0 / (1 << COARSE_DEPTH)
@@ -74,13 +73,13 @@ def test_cells_at_the_faces_of_a_flat_box_are_opaque(law):
 
 def test_leaves_below_the_smallest_density_are_empty():
     cells = below([4, 5, 6], 1)
-    density = np.where(cells[:, 0] % 2 == 0, 0.05, 4.0)
+    density = np.where(cells[:, 0] % 2 == 0, 0.0, 4.0)
     levels = np.full(8, COARSE_DEPTH + 1)
     fields = {"law": "exponential", "tree_depth": 10}
     asset = make_asset(cells, levels, density, np.zeros((8, 3, 1)), **fields)
     through = np.exp(-2.0 * SIDE), (1 + np.exp(-4.0 * SIDE)) / 2
     expected = -np.log((through[0] + 2 * through[1]) / 3) / SIDE
-    assert coarsened(asset, 0.1).density == pytest.approx([expected], rel=1e-5)
+    assert coarsened(asset).density == pytest.approx([expected], rel=1e-5)
 
 
 def test_opaque_cells_have_a_finite_density():
@@ -95,20 +94,20 @@ def test_mean_transmittance_of_random_lines(mi):
     from lumitree.octree.field import Field
 
     asset = random_asset(3, tree_depth=7, density_scale=12.0, law="exponential")
-    field = Field(asset)
+    small = coarsened(asset)
+    assert small.num_leaves < asset.num_leaves / 4
     random = np.random.default_rng(4)
     direction = random.normal(size=(20000, 3))
     direction /= np.linalg.norm(direction, axis=1)[:, None]
     origin = random.uniform(-1, 1, (20000, 3)) - 4 * direction
     line = on_device(mi.Point3f, origin), on_device(mi.Vector3f, direction)
-    deep, coarse = (np.array(each.transmittance(*line)) for each in (field, field.coarse))
-    assert field.coarse.asset.num_leaves < asset.num_leaves / 4
+    deep, coarse = (np.array(each.transmittance(*line)) for each in map(Field, (asset, small)))
     assert 0.1 < deep.mean() < 0.9
     assert coarse.mean() == pytest.approx(deep.mean(), abs=0.03)
 
 
 def test_a_shallow_field_is_its_own_coarse_field(mi):
-    from lumitree.octree.field import Field
+    from lumitree.rendering.device import DeviceAsset
 
-    field = Field(random_asset(3))
-    assert field.coarse is field
+    device = DeviceAsset(random_asset(3))
+    assert device.coarse_field is device.field

@@ -5,8 +5,8 @@ import pytest
 
 from lumitree.core.frames import LocalFrame
 from lumitree.errors import LumitreeError
+from lumitree.octree.build import leaf_cells
 from lumitree.octree.extract import extract
-from lumitree.octree.leaves import leaf_cells
 from support.reference_field import leaf_boxes
 from support.slow import slow
 

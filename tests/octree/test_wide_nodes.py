@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lumitree.octree.wide_nodes import EMPTY, LEAF, wide_levels, wide_nodes
+from lumitree.octree.build import EMPTY, LEAF, wide_levels, wide_nodes
 from support.fields import random_asset
 from support.reference_field import leaf_boxes
 

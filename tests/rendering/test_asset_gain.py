@@ -11,8 +11,8 @@ from lumitree.asset.asset import light_field_asset
 from lumitree.asset.light_field import unpack
 from lumitree.core.photometry import colour_temperature, luminance
 from lumitree.lamp.stored_geometry import stored_geometry
+from lumitree.measure.far_field import asset_source, measure
 from lumitree.measure.irradiance import asset_irradiance
-from lumitree.measure.photometry.far_field import asset_source, measure
 from lumitree.rendering.asset_flux import asset_watts, with_light
 from lumitree.rendering.asset_views import baked_image
 from lumitree.viewer.packing import pack_asset

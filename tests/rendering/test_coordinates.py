@@ -101,8 +101,7 @@ def test_paths_end_after_so_many_null_surfaces(mi, monkeypatch):
         ).mean()
 
     for bound, expected in ((11, 1.0), (4, 0.0)):
-        for module in ("path_segments", "path_vertices", "shadow_rays"):
-            monkeypatch.setattr(f"lumitree.rendering.plugins.{module}.MAX_CROSSINGS", bound)
+        monkeypatch.setattr("lumitree.rendering.integrator.MAX_CROSSINGS", bound)
         through = seen({"type": "scene", **slabs, "sky": sky}, [0.1, -2, 0.2], [0, 1, 0])
         assert through == pytest.approx(2 * expected, abs=1e-3)
         lit = {

@@ -41,29 +41,29 @@ def even_light():
 
 @pytest.fixture(scope="module")
 def light(mi):
-    from lumitree.rendering.sampling.light_field import DeviceLightField
+    from lumitree.rendering.device_light import DeviceLight
 
-    return DeviceLightField(some_light(), HALF)
+    return DeviceLight(some_light(), HALF, levels=True)
 
 
 @pytest.fixture(scope="module")
 def levels(mi):
     """A light field by level of its receivers: of a few cells, and of sums."""
-    from lumitree.rendering.sampling.light_field import DeviceLightField
-    from lumitree.rendering.sampling.light_levels import LevelChoice
+    from lumitree.rendering.device_light import DeviceLight
+    from lumitree.rendering.light_levels import LevelChoice
 
-    near, far = DeviceLightField(some_light(), HALF), DeviceLightField(even_light(), HALF)
-    near.emitted.choice = LevelChoice(HALF, np.array([np.inf]))
-    far.emitted.choice = LevelChoice(HALF, np.array([-1.0]))
+    near, far = (DeviceLight(each(), HALF, levels=True) for each in (some_light, even_light))
+    near.choice = LevelChoice(HALF, np.array([np.inf]))
+    far.choice = LevelChoice(HALF, np.array([-1.0]))
     return near, far
 
 
 def seen_from(mi, light, x, direction):
     """Radiance and density [N] of directions from a point outside the box."""
-    from lumitree.rendering.sampling.proxy import BoxProxy
+    from lumitree.rendering.sampling import BoxProxy
 
     distance, _, enters = BoxProxy(HALF).enter(x, direction)
-    return light.eval(x, x + distance * direction, direction, distance, enters)
+    return light.eval(x, x + distance * direction, direction, enters)
 
 
 def boxes(field):
@@ -78,13 +78,13 @@ def chances(mi, light, x):
     import drjit as dr
 
     cells = dr.arange(mi.UInt32, len(some_light().cells))
-    return np.array(light._table.probability(light._around.index(x), cells), np.float64)
+    return np.array(light.table.probability(light._tables.around[0].index(x), cells), np.float64)
 
 
 @pytest.mark.parametrize("name", POINTS)
 def test_radiance_and_density_are_sums_over_all_cells(mi, light, name):
-    from lumitree.rendering.sampling.light_bins import smooth_bin
-    from lumitree.rendering.sampling.proxy import cone_pdf, sample_cone
+    from lumitree.rendering.device_light import smooth_bin
+    from lumitree.rendering.sampling import cone_pdf, sample_cone
 
     field = some_light()
     count = 4096
@@ -121,7 +121,7 @@ def test_samples_follow_their_density_and_weigh_the_same_light(mi, light, name):
     import drjit as dr
 
     from lumitree.core.octahedral import bin_of
-    from lumitree.rendering.sampling.proxy import cone_pdf, sample_cone
+    from lumitree.rendering.sampling import cone_pdf, sample_cone
 
     count, coarse = 1 << 19, 16
     origin = device_point(mi, name)
@@ -163,7 +163,7 @@ def test_points_and_rays_share_the_light(mi, levels, level, name, other):
     import drjit as dr
 
     from lumitree.core.octahedral import bin_of
-    from lumitree.rendering.sampling.proxy import BoxProxy, cone_pdf, sample_cone
+    from lumitree.rendering.sampling import BoxProxy, cone_pdf, sample_cone
 
     count, coarse = 1 << 20, 4
     light, field = levels[level], [some_light, even_light][level]()
@@ -183,11 +183,11 @@ def test_points_and_rays_share_the_light(mi, levels, level, name, other):
     entry = origin + near * plain
     # The bins of both depend on all bits of the ray.
     dr.eval(entry, plain)
-    whole, _ = light.eval(origin, entry, plain, near, enters, parallel=True)
+    whole, _ = light.eval(origin, entry, plain, enters, parallel=True)
     rest = mi.Color3f(0)
     if other:
         inverse, end = dr.rcp(density(plain)), mi.Float(dr.inf)
-        rest = light.received(origin, entry, plain, near, inverse, end, enters)
+        rest = light.received(origin, entry, plain, inverse, end, enters)
         # Only the balance heuristic with a positive b bounds the weights of near points.
         volume = np.array(light.cells.volume)
         brightest = unpack(field.intensity).max() * field.scale * 8**level
@@ -210,11 +210,11 @@ def test_points_and_rays_share_the_light(mi, levels, level, name, other):
 
 def test_rays_carry_the_flux_of_every_bin(mi, light):
     from lumitree.core.octahedral import bin_of, direction_in_bin, solid_angles
-    from lumitree.rendering.sampling.light_bins import smooth_bin
+    from lumitree.rendering.device_light import smooth_bin
 
     field, count = some_light(), 1 << 20
     sampler = uniform_samples(mi, count)
-    point, direction, flux = light.emitted.sample_ray(
+    point, direction, flux = light.sample_ray(
         sampler.next_1d(), sampler.next_2d(), sampler.next_2d()
     )
     flux = np.array(flux, np.float64).T
@@ -266,7 +266,7 @@ def test_a_field_is_copied_to_the_device_once(mi):
     first, second = (
         mi.load_dict(lumitree.shape(asset, place)).emitter() for place in (np.eye(4), TURNED)
     )
-    assert first.sampler._light is second.sampler._light
+    assert first.lamp.stored is second.lamp.stored
 
 
 def sphere_like(radiance):
@@ -511,13 +511,12 @@ def test_a_camera_in_a_field_sees_what_is_before_it(mi, sampling):
 
 def test_parallel_rays_see_the_mean_over_bins(mi):
     """As those of an orthographic camera, which all have one direction."""
-    from lumitree.rendering.sampling.light_bins import bins_around
-    from lumitree.rendering.sampling.light_field import DeviceLightField
+    from lumitree.rendering.device_light import DeviceLight, bins_around
 
     random = np.random.default_rng(6)
     intensity = random.exponential(1, (1, RESOLUTION**2, 3))
     field = make_light_field(np.array([[3, 4, 3]]), intensity, DEPTH)
-    light = DeviceLightField(field, HALF)
+    light = DeviceLight(field, HALF)
     lower, upper = boxes(field)
     direction = np.array([-0.05, 0.02, -1.0])
     direction /= np.linalg.norm(direction)
@@ -526,7 +525,7 @@ def test_parallel_rays_see_the_mean_over_bins(mi):
     length = (faces.max(axis=0).min(axis=1) - faces.min(axis=0).max(axis=1)).mean()
     entry = on_device(mi.Point3f, point - 4 * direction)
     way = mi.Vector3f(*direction.tolist())
-    radiance, _ = light.eval(entry, entry, way, mi.Float(0), mi.Bool(True), parallel=True)
+    radiance, _ = light.eval(entry, entry, way, mi.Bool(True), parallel=True)
     bright = sum(
         np.array(weight)[0] * unpack(field.dense(field.intensity))[0, np.array(index)[0]]
         for index, weight in bins_around(-way, RESOLUTION)
@@ -538,7 +537,7 @@ def test_parallel_rays_see_the_mean_over_bins(mi):
 def test_the_mean_over_bins_is_linear_between_their_middles(mi):
     """Bins of one direction, against the bilinear weights of four bins; across the map's sides."""
     from lumitree.core.octahedral import bin_of, octahedral
-    from lumitree.rendering.sampling.light_bins import smooth_bin
+    from lumitree.rendering.device_light import smooth_bin
 
     count, resolution = 1 << 16, 8
     values = np.random.default_rng(0).random(resolution**2)
@@ -579,7 +578,7 @@ def test_beyond_a_side_of_the_map_are_the_next_directions(mi):
 
 def test_bins_around_a_direction_are_those_of_the_slow_interpolation(mi):
     from lumitree.core.octahedral import bilinear_bins
-    from lumitree.rendering.sampling.light_bins import bins_around
+    from lumitree.rendering.device_light import bins_around
 
     random = np.random.default_rng(0)
     directions = random.normal(size=(500, 3))
@@ -614,7 +613,7 @@ def test_irradiance_is_the_sum_over_all_cells(mi, light):
     count = 4000
     place = [np.repeat(each, count, axis=0) for each in (x, n)]
     random = mi.PCG32(count, 1)
-    found = light.emitted.irradiance(
+    found = light.irradiance(
         on_device(mi.Point3f, place[0]), on_device(mi.Vector3f, place[1]), random, mi.Bool(True)
     )
     assert np.array(found).mean(axis=1) == pytest.approx(expected, rel=5e-3)

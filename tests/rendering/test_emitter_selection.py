@@ -43,7 +43,7 @@ def lamps(assets, count=9):
 
 def room(mi, **objects):
     """A glossy floor, a wall and a window."""
-    from lumitree.rendering.plugins.objects import load_ordered
+    from lumitree.rendering.objects import load_ordered
 
     look = mi.ScalarTransform4f().look_at([0, 3, 7], [0, -0.4, 0], [0, 1, 0])
     film = {"type": "hdrfilm", "width": 12, "height": 12, "rfilter": {"type": "box"}}
@@ -85,7 +85,7 @@ def images(mi, scene, count=12, spp=64, **options):
 @pytest.fixture
 def uniform(monkeypatch):
     """Call it to select emitters by their sampling weights from now on."""
-    from lumitree.rendering.plugins import path_scene
+    from lumitree.rendering import integrator as path_scene
 
     class Uniform(path_scene.EmitterSelection):
         def __init__(self, *args):
@@ -165,7 +165,7 @@ def test_media_and_surfaces_that_let_light_through_get_light_from_all_sides(mi, 
 
 def test_one_lamp_is_selected_as_before(mi):
     """By Mitsuba, and with its random numbers."""
-    from lumitree.rendering.plugins.path_scene import EmitterSelection, LampChoices
+    from lumitree.rendering.integrator import EmitterSelection, LampChoices
 
     one = lamps([make_asset("light")], 1)
     assert not EmitterSelection(room(mi, **one, **others(mi)), LampChoices()).by_receiver
@@ -178,7 +178,7 @@ def test_emitters_of_a_mixed_scene(mi):
     """χ² of those that are no lamps; and p is what rays of the BSDF get for the same receiver."""
     import drjit as dr
 
-    from lumitree.rendering.plugins.path_scene import EmitterSelection, LampChoices
+    from lumitree.rendering.integrator import EmitterSelection, LampChoices
 
     scene = room(mi, **lamps([make_asset("light")]), **others(mi))
     selection = EmitterSelection(scene, LampChoices())
@@ -225,12 +225,12 @@ def test_a_gain_of_zero_and_a_change_of_gain_are_followed(mi):
 @pytest.mark.parametrize("parts", PARTS)
 def test_lamps_of_one_kind_share_their_code(mi, monkeypatch, parts):
     """Equal images, with code for each lamp and for each kind; equal seeds."""
-    from lumitree.rendering.plugins.lamp_kinds import LampKinds
+    from lumitree.rendering.lamps import LampKinds
 
     assets = [make_asset(parts, seed) for seed in (1, 2)]
     scene = room(mi, **lamps(assets), **others(mi))
     kinds = LampKinds(scene.emitters(), scene.emitters_dr())
-    assert len(kinds._lights) == 2
+    assert len(kinds._lamps) == 2
     shared = images(mi, scene, 1, 32)[0]
     create = LampKinds.__init__
 
@@ -249,7 +249,7 @@ def test_gains_of_many_lamps_are_joined_with_their_derivatives(mi):
     """In groups: one kernel of 1,000 arrays takes minutes to compile."""
     import drjit as dr
 
-    from lumitree.rendering.plugins.lamp_kinds import joined_colours
+    from lumitree.rendering.lamps import joined_colours
 
     colours = [mi.Color3f(index, 2 * index, 3 * index) for index in range(300)]
     dr.enable_grad(colours[170])

@@ -107,10 +107,10 @@ def sampled(mi, lamp):
     """Points of all surfaces of a lamp, and what Mitsuba's rays meet there."""
     import drjit as dr
 
-    from lumitree.rendering.plugins.geometry_shapes import emitting_surfaces
-    from lumitree.rendering.sampling.emitting_elements import Elements
+    from lumitree.rendering.geometry import Surfaces
+    from lumitree.rendering.straight_light import Elements
 
-    surfaces = emitting_surfaces(stored_geometry(lamp), lamp.frame)
+    surfaces = Surfaces(stored_geometry(lamp)).emitting(lamp.frame)
     elements = Elements(surfaces)
     random = np.random.default_rng(0)
     entries = []

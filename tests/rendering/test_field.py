@@ -157,8 +157,10 @@ def test_thresholds_of_the_paper_change_little(mi):
 
 def test_instances_share_one_field(mi, tmp_path):
     from lumitree.asset.file import save
-    from lumitree.rendering.asset_cache import open_field
+    from lumitree.octree.field import shared_field
+    from lumitree.rendering.asset_cache import open_asset
 
     save(random_asset(1), tmp_path / "a.lumitree")
-    first = open_field(tmp_path / "a.lumitree")
-    assert open_field(tmp_path / "." / "a.lumitree") is first
+    first = open_asset(tmp_path / "a.lumitree")
+    assert open_asset(tmp_path / "." / "a.lumitree") is first
+    assert shared_field(first) is shared_field(first)

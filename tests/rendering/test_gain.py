@@ -105,14 +105,14 @@ def test_methods_of_the_emitter_agree_on_it(mi, asset):
         ds, weight = emitter.sample_direction(it, sample)
         si = scene.ray_intersect(mi.Ray3f(it.p, ds.d))
         specular_chain = mi.Bool(True)
-        chances = mi.Float(0.3), mi.Float(0.5)
+        probabilities = mi.Float(0.3), mi.Float(0.5)
         ray = mi.Ray3f(it.p, ds.d)
         end = mi.Float(dr.inf)
-        radiance, through, pdf = emitter.eval_entered(
-            ray, si.t, it, specular_chain, *chances, end, si.is_valid()
+        radiance, through = emitter.lamp.eval_entered(
+            ray, si.t, it, specular_chain, *probabilities, end, si.is_valid()
         )
-        sampled = emitter.sample_target(it, sample, mi.Bool(False), mi.Bool(True))
-        value, value_pdf = emitter.eval_target(it, sampled, *chances, sampled.valid)
+        sampled = emitter.lamp.sample_target(it, sample, mi.Bool(False), mi.Bool(True))
+        value = emitter.lamp.eval_target(it, sampled, *probabilities, sampled.valid)
         _, flux = emitter.sample_ray(0.0, sampler.next_1d(), sample, sampler.next_2d())
         light = (
             weight,
@@ -122,7 +122,7 @@ def test_methods_of_the_emitter_agree_on_it(mi, asset):
             value,
             flux,
         )
-        other = (ds.pdf, emitter.pdf_direction(it, ds), through, pdf, value_pdf)
+        other = (ds.pdf, emitter.pdf_direction(it, ds), through)
         found.append([[np.array(each) for each in group] for group in (light, other)])
     (plain, same), (gained, again) = found
     for first, second in zip(plain, gained, strict=True):
@@ -293,7 +293,7 @@ def test_a_scene_file_names_it(mi, tmp_path, text, gain):
         f"{file}{text}</shape></scene>"
     )
     scene = mi.load_file(str(tmp_path / "scene.xml"))
-    assert np.array(scene.emitters()[0].gain).ravel() == pytest.approx(gain)
+    assert np.array(scene.emitters()[0].lamp.gain).ravel() == pytest.approx(gain)
 
 
 @pytest.mark.parametrize(

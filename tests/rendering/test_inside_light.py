@@ -120,9 +120,7 @@ def test_points_and_rays_share_the_light(mi):
     import drjit as dr
 
     from lumitree.core.octahedral import bin_of, solid_angles
-    from lumitree.rendering.sampling.light_bins import smooth_bin
-    from lumitree.rendering.sampling.light_field import DeviceLightField
-    from lumitree.rendering.sampling.light_inside import InsideLight
+    from lumitree.rendering.device_light import DeviceLight, InsideLight, smooth_bin
 
     random = np.random.default_rng(4)
     cells = np.argwhere(np.ones((8, 8, 8)))
@@ -147,7 +145,7 @@ def test_points_and_rays_share_the_light(mi):
     )
     field = dataclasses.replace(field, inside=inside)
     gain = (1.0, 1.0, 1.0)
-    light = InsideLight(field, HALF, DeviceLightField(field, HALF), gain)
+    light = InsideLight(field, HALF, DeviceLight(field, HALF), gain)
     count, coarse, b = 1 << 20, 4, 0.3
     x = mi.Point3f(*(dr.opaque(mi.Float, each) for each in (0.31, -0.22, 0.13)))
     sample = uniform_samples(mi, count).next_2d()
@@ -171,7 +169,7 @@ def test_points_and_rays_share_the_light(mi):
     lower = np.maximum(cells / 4 - 1, -HALF)
     upper = np.minimum(cells / 4 - 0.75, HALF)
     rays = np.array(plain).T[:64]
-    fine = np.array(smooth_bin(-plain, 8))[:64]
+    fine = np.array(smooth_bin(-plain, 8, x))[:64]
     leaving = np.zeros((24, 64))
     from lumitree.asset.light_field import unpack
 

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from lumitree.core.device import on_device
-from lumitree.rendering.sampling.lamp_choice import NO_LAMP, LampChoice, LampChoices, Lamps
+from lumitree.rendering.lamps import NO_LAMP, LampChoice, LampChoices, Lamps
 
 LOW, HIGH = np.zeros(3), np.array([20.0, 4.0, 10.0])
 
@@ -115,9 +115,9 @@ def test_probabilities_of_the_table_sum_to_one(mi, count):
 
 def test_candidates_have_the_probabilities_of_the_table(mi, monkeypatch):
     """χ² of the lamps that are chosen where there is one candidate."""
-    from lumitree.rendering.sampling import lamp_choice
+    from lumitree.rendering import lamps
 
-    monkeypatch.setattr(lamp_choice, "_CANDIDATES", 1)
+    monkeypatch.setattr(lamps, "_CANDIDATES", 1)
     lamps, samples = some_lamps(40), 1 << 16
     choice = LampChoice(lamps)
     x = np.full((samples, 3), [7.0, 0.5, 3.0])

@@ -118,9 +118,9 @@ def test_mix_changes_the_light_of_one_layer(room, lamps, tmp_path):
     with pytest.raises(LumitreeError, match="the image is not made of layers alone"):
         lumitree.mix(layers | {"odd": layers["room"][1:]})
     with pytest.raises(LumitreeError, match=r"no layer 'hall'; it has lamp, room, room_2"):
-        lumitree.mix(path, gains={"hall": 2})
+        lumitree.mix(path, gain={"hall": 2})
     with pytest.raises(LumitreeError, match="gain"):
-        lumitree.mix(path, gains={"lamp": -1})
+        lumitree.mix(path, gain={"lamp": -1})
     image = tmp_path / "image.exr"
     dark = render(room, spp=1)
     dark.save(image)

@@ -7,7 +7,7 @@ from lumitree.asset.light_field import make_light_field, unpack
 from lumitree.core.device import on_device
 from lumitree.core.octahedral import solid_angles
 from lumitree.core.photometry import luminance
-from lumitree.octree.leaves import grid_boxes_inside
+from lumitree.octree.build import grid_boxes_inside
 from support.receivers import HALF, uniform_samples
 
 DEPTH, RESOLUTION = 5, 8
@@ -27,13 +27,13 @@ def some_light():
 
 @pytest.fixture(scope="module")
 def light(mi):
-    from lumitree.rendering.sampling.light_field import DeviceLightField
+    from lumitree.rendering.device_light import DeviceLight
 
-    return DeviceLightField(some_light(), HALF)
+    return DeviceLight(some_light(), HALF, levels=True)
 
 
 def test_sums_have_the_light_of_their_cells(mi):
-    from lumitree.rendering.sampling.light_levels import light_sums
+    from lumitree.rendering.light_levels import light_sums
 
     field = some_light()
     whole = unpack(field.dense(field.intensity))
@@ -63,7 +63,7 @@ def test_sums_have_the_light_of_their_cells(mi):
 
 
 def test_a_sum_of_equal_cells_is_the_larger_cell(mi):
-    from lumitree.rendering.sampling.light_levels import light_sums
+    from lumitree.rendering.light_levels import light_sums
 
     cells = np.argwhere(np.ones((2, 2, 2))) + np.array([2, 4, 4])
     field = make_light_field(cells, np.full((8, RESOLUTION**2, 3), 2.0), 3)
@@ -73,7 +73,7 @@ def test_a_sum_of_equal_cells_is_the_larger_cell(mi):
 
 
 def test_levels_follow_the_distance_without_a_border(mi):
-    from lumitree.rendering.sampling.light_levels import LevelChoice
+    from lumitree.rendering.light_levels import LevelChoice
 
     choice = LevelChoice(HALF, np.array([3.0, 6.0]))
     sample = uniform_samples(mi, 1 << 14).next_1d()
@@ -89,14 +89,14 @@ def irradiance(mi, light, x, n, level):
     import drjit as dr
 
     random = mi.PCG32(dr.width(x), initstate=dr.opaque(mi.UInt64, level))
-    found = light.emitted.irradiance(x, n, random, mi.Bool(True), level)
+    found = light.irradiance(x, n, random, mi.Bool(True), level)
     return np.array(found, np.float64)[1]
 
 
 def test_no_level_errs_by_more_than_is_allowed(mi, light):
-    from lumitree.rendering.sampling import light_levels
+    from lumitree.rendering import light_levels
 
-    limits = light_levels.level_limits(light.emitted._level_errors(HALF), DEPTH)
+    limits = light_levels.level_limits(light._level_errors(), DEPTH)
     assert len(limits) == 3
     assert (np.diff(limits) >= 0).all()
     points, normals = light_levels.points_around(HALF)
@@ -115,7 +115,7 @@ def test_sampled_irradiance_is_the_mean_over_levels(mi, light):
 
     count = 1 << 19
     n = mi.Vector3f(-0.8, -0.6, 0)
-    for limit in light.emitted.choice._limits:
+    for limit in light.choice._limits:
         for part in (0.55, 0.8, 1.1):
             x = on_device(mi.Point3f, [HALF * [1, 1, 0.2] + part * limit * np.array([0.8, 0.6, 0])])
             dr.make_opaque(x)
@@ -123,7 +123,7 @@ def test_sampled_irradiance_is_the_mean_over_levels(mi, light):
             direction, target = light.sample_point(x, samples.next_2d())
             weight = light.contribution(target, mi.Float(0)) * dr.maximum(dr.dot(direction, n), 0)
             weight = np.array(weight, np.float64)[1]
-            level = light.emitted.choice.sample(x, samples.next_1d())
+            level = light.choice.sample(x, samples.next_1d())
             pmf = np.bincount(np.array(level), minlength=4) / count
             many = dr.gather(mi.Point3f, x, dr.zeros(mi.UInt32, 256))
             sums = np.array([irradiance(mi, light, many, n, each) for each in range(4)])
@@ -139,11 +139,11 @@ def test_a_lamp_whose_light_is_all_straight_has_levels(mi):
     """Its bent light is one bin of next to nothing, so narrow here that it meets no receiver."""
     import drjit as dr
 
-    from lumitree.rendering.sampling.light_field import DeviceLightField
+    from lumitree.rendering.device_light import DeviceLight
 
     cells, shape = some_light().cells[:1], (1, 256**2, 3)
     straight = make_light_field(cells, np.ones(shape), DEPTH, bent=np.zeros(shape))
-    light = DeviceLightField(straight.bent_light, HALF)
+    light = DeviceLight(straight.bent_light, HALF, levels=True)
     x = dr.full(mi.Point3f, 3.0, 1 << 10)
     direction, target = light.sample_point(x, uniform_samples(mi, 1 << 10).next_2d())
     weight = np.array(light.contribution(target, mi.Float(0.1)))

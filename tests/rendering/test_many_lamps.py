@@ -27,26 +27,25 @@ def asset(tmp_path):
 
 @pytest.fixture
 def created(monkeypatch, mi):
-    """How many tables were made, and how deep samplers were made within each other."""
-    from lumitree.rendering.plugins import emitter
-    from lumitree.rendering.sampling import light_field as device_light_field
+    """How many tables were made, and how deep they were made within each other."""
+    from lumitree.core import alias_table
+    from lumitree.rendering.emitter import PlacedLamp
 
     found = {"tables": 0, "depth": 0, "deepest": 0}
-    table, sampler = device_light_field.DeviceLightField.__init__, emitter.emitter_sampler
+    table, make = alias_table.AliasTable.__init__, PlacedLamp.make_tables
 
     def counting(*args):
         found["tables"] += 1
         table(*args)
 
-    def nested(*args, **options):
+    def nested(lamp):
         found["depth"] += 1
         found["deepest"] = max(found["deepest"], found["depth"])
-        result = sampler(*args, **options)
+        make(lamp)
         found["depth"] -= 1
-        return result
 
-    monkeypatch.setattr(device_light_field.DeviceLightField, "__init__", counting)
-    monkeypatch.setattr(emitter, "emitter_sampler", nested)
+    monkeypatch.setattr(alias_table.AliasTable, "__init__", counting)
+    monkeypatch.setattr(PlacedLamp, "make_tables", nested)
     return found
 
 
@@ -79,12 +78,11 @@ def test_lamps_are_not_created_within_each_other(mi, asset, tmp_path, created, l
     """Mitsuba's tasks that wait execute others: 155 lamps ended in a RecursionError."""
     scene = load(mi, asset, tmp_path)
     assert len(scene.emitters()) == COUNT
-    assert all("sampler" in vars(emitter) for emitter in scene.emitters())
     assert (created["tables"], created["deepest"]) == (1, 1)
 
 
 def test_a_step_that_fails_leaves_none_behind(mi):
-    from lumitree.rendering.plugins.objects import complete_later
+    from lumitree.rendering.objects import complete_later
 
     done = []
 
@@ -99,8 +97,8 @@ def test_a_step_that_fails_leaves_none_behind(mi):
 
 
 def test_too_many_geometries_within_each_other_are_explained(mi, monkeypatch, asset):
-    from lumitree.rendering.plugins import register as plugins
-    from lumitree.rendering.plugins import shape as proxy_shape
+    from lumitree.rendering import register as plugins
+    from lumitree.rendering import shapes as proxy_shape
 
     def endless(*args, **options):
         raise RecursionError

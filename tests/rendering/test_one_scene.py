@@ -9,7 +9,7 @@ import lumitree
 from lumitree.asset.asset import light_field_asset
 from lumitree.core.frames import rotation, similarity
 from lumitree.lamp.stored_geometry import stored_geometry
-from lumitree.rendering.plugins import proxies
+from lumitree.rendering import proxies
 from support.fields import random_asset
 from support.lamps import GLASS, cube, lamp_of, sphere
 from support.light_fields import random_light_field, with_inside

@@ -36,7 +36,7 @@ def lamps(mi, tmp_path):
 
 def entries(proxies, ray, end):
     """Distances and emitters [K, N] of the proxies that rays enter, in order."""
-    from lumitree.rendering.plugins.proxies import NONE
+    from lumitree.rendering.proxies import NONE
 
     found = []
     distance, lamp = proxies.first(ray, end, end > 0)
@@ -61,7 +61,7 @@ def random_rays(mi, count=4000, seed=1):
 
 def test_rays_enter_proxies_where_they_meet_their_shapes(mi, lamps):
     """Against rays that are traced to the shape of each proxy alone."""
-    from lumitree.rendering.plugins.proxies import NONE, Proxies
+    from lumitree.rendering.proxies import NONE, Proxies
 
     ray = random_rays(mi)
     end = np.random.default_rng(2).uniform(0.5, 8, 4000)
@@ -88,7 +88,7 @@ def test_rays_enter_proxies_where_they_meet_their_shapes(mi, lamps):
 
 def test_a_ray_finds_the_proxies_of_a_hall(mi, tmp_path):
     """Against all boxes one after the other."""
-    from lumitree.rendering.plugins.proxies import NONE, Proxies
+    from lumitree.rendering.proxies import NONE, Proxies
 
     asset = random_asset(5, half_extents=np.array([1.0, 0.7, 0.5]))
     random = np.random.default_rng(3)
@@ -108,7 +108,7 @@ def test_a_ray_finds_the_proxies_of_a_hall(mi, tmp_path):
     end = random.uniform(1, 12, count)
     entry = np.full((count, len(emitters)), np.inf)
     for index, emitter in enumerate(emitters):
-        matrix, centre = emitter.placed.unit_proxy()
+        matrix, centre = emitter.lamp.unit_proxy()
         with np.errstate(divide="ignore", invalid="ignore"):
             o, d = (origin - centre) @ matrix.T, direction @ matrix.T
             near, far = ((side * np.sign(d) - o) / d for side in (-1, 1))
@@ -134,7 +134,7 @@ def test_a_ray_finds_the_proxies_of_a_hall(mi, tmp_path):
 
 def test_proxies_that_are_entered_at_one_distance_are_all_entered(mi, tmp_path):
     """Each once, in the order of their emitters."""
-    from lumitree.rendering.plugins.proxies import NONE, Proxies
+    from lumitree.rendering.proxies import NONE, Proxies
 
     path = tmp_path / "cube.lumitree"
     lumitree.save(random_asset(5), path)
@@ -158,7 +158,7 @@ def room(mi, **objects):
     film = {"type": "hdrfilm", "width": 16, "height": 16, "rfilter": {"type": "box"}}
     wall = mi.ScalarTransform4f().translate([0, 0, -3]).scale(6)
     light = mi.ScalarTransform4f().translate([0, 4, 0]).rotate([1, 0, 0], 90)
-    from lumitree.rendering.plugins.objects import load_ordered
+    from lumitree.rendering.objects import load_ordered
 
     scene = {
         "type": "scene",
@@ -228,9 +228,9 @@ def test_a_divided_scene_follows_its_shapes(mi, lamps):
 
 def test_lamps_have_bits_of_their_own(mi, tmp_path):
     """Whatever other emitters are between them, as the materials of their geometry are."""
-    from lumitree.rendering.plugins.proxies import NONE, Owners, Proxies
+    from lumitree.rendering.proxies import NONE, Owners, Proxies
 
-    nothing = SimpleNamespace(placed=SimpleNamespace(own_shapes=[], own_media=[]))
+    nothing = SimpleNamespace(own_shapes=[], own_media=[])
     owners = Owners({0: nothing, 32: nothing, 64: nothing, 70: nothing})
     lamp = on_device(mi.UInt32, np.array([0, 32, 64, 70, NONE]))
     assert np.array(owners.bit(lamp, mi.Bool(True))).tolist() == [1, 2, 4, 8, 0]
@@ -248,7 +248,7 @@ def test_lamps_have_bits_of_their_own(mi, tmp_path):
 
 
 def test_surfaces_are_built_again_only_when_shapes_change(mi, lamps):
-    from lumitree.rendering.plugins.proxies import DividedScene
+    from lumitree.rendering.proxies import DividedScene
 
     scene = room(mi, lamp0=lamps["lamp0"])
     divided = DividedScene()
@@ -266,7 +266,7 @@ def test_surfaces_are_built_again_only_when_shapes_change(mi, lamps):
 
 
 def test_a_scene_without_lamps_is_not_divided(mi):
-    from lumitree.rendering.plugins.proxies import DividedScene
+    from lumitree.rendering.proxies import DividedScene
 
     plain = room(mi)
     surfaces, proxies, *_ = DividedScene().of(plain)
@@ -275,7 +275,7 @@ def test_a_scene_without_lamps_is_not_divided(mi):
 
 
 def test_a_scene_with_instances_is_divided(mi, lamps):
-    from lumitree.rendering.plugins.proxies import NONE, DividedScene
+    from lumitree.rendering.proxies import NONE, DividedScene
 
     group = {"type": "shapegroup", "ball": {"type": "sphere", "radius": 0.2}}
     repeated = {"type": "instance", "shapegroup": {"type": "ref", "id": "group"}}
@@ -294,7 +294,7 @@ def test_lamps_of_another_scene_with_the_same_surfaces_light_what_is_in_their_bo
     """As if a scene is loaded again with a lamp elsewhere, and the integrator is kept."""
     from lumitree.asset.asset import light_field_asset
     from lumitree.core.frames import LocalFrame
-    from lumitree.rendering.plugins.proxies import DividedScene
+    from lumitree.rendering.proxies import DividedScene
     from support.light_fields import random_light_field
 
     frame = LocalFrame(np.array([1.0, 0.7, 0.5]), np.eye(4))
@@ -305,5 +305,5 @@ def test_lamps_of_another_scene_with_the_same_surfaces_light_what_is_in_their_bo
         place = similarity(rotation([0, 1, 1], 0), 1.0, [x, 0, 0.9])
         scene = mi.load_dict({"type": "scene", "lamp": lumitree.shape(asset, place), **surfaces})
         divided.of(scene)
-        found = [e.placed.holds for e in scene.emitters() if hasattr(e, "placed")]
+        found = [e.lamp.lights_inside for e in scene.emitters() if hasattr(e, "lamp")]
         assert found == [holds]

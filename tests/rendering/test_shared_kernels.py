@@ -85,7 +85,7 @@ def test_another_lamp_compiles_no_kernel(tmp_path, parts):
 def main(seed, parts):
     """Print the number of new kernels for a lamp."""
     from lumitree.core.backend import load_mitsuba
-    from lumitree.rendering.plugins.register import register
+    from lumitree.rendering.register import register
 
     mi = load_mitsuba(VARIANT)
     register()

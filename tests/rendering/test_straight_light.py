@@ -36,10 +36,10 @@ def placed_shape(kind, name, inside, scale=(1, 1, 1), turn=(0, 1, 0, 0), at=(0, 
 
 def straight(lamp, field=None, gain=(1.0, 1.0, 1.0)):
     """The emitters of a lamp."""
-    from lumitree.rendering.plugins.geometry_shapes import emitting_surfaces
-    from lumitree.rendering.sampling.straight_light import StraightLight
+    from lumitree.rendering.geometry import Surfaces
+    from lumitree.rendering.straight_light import StraightLight
 
-    surfaces = emitting_surfaces(stored_geometry(lamp), lamp.frame)
+    surfaces = Surfaces(stored_geometry(lamp)).emitting(lamp.frame)
     return StraightLight(surfaces, field, lamp.frame.half_extents, gain)
 
 
@@ -47,7 +47,7 @@ def irradiance(mi, light, points, normals, inside=False, count=1 << 15):
     """Irradiance [N, 3] of local points by emitter sampling alone, and its standard error."""
     import drjit as dr
 
-    from lumitree.rendering.sampling.emitter_sampling import STRAIGHT, Target
+    from lumitree.rendering.sampling import STRAIGHT, Target
 
     normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     x, n = (np.repeat(np.asarray(each, np.float32), count, axis=0).T for each in (points, normals))

@@ -17,7 +17,7 @@ def mitsuba_room(width: int, height: int) -> Any:
     """The room (mi.Scene)."""
     import mitsuba as mi
 
-    from lumitree.rendering.plugins.objects import load_ordered
+    from lumitree.rendering.objects import load_ordered
 
     scene: dict[str, Any] = {"type": "scene", **mitsuba_walls(WALLS)}
     look = mi.ScalarTransform4f().look_at(CAMERA["origin"], CAMERA["target"], [0, 1, 0])

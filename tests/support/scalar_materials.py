@@ -16,7 +16,7 @@ mi.set_variant("scalar_rgb")
 mi.set_log_level(mi.LogLevel.Error)
 
 from lumitree.asset.materials import Diffuse, check_coordinates  # noqa: E402
-from lumitree.rendering.plugins.geometry_materials import Materials  # noqa: E402
+from lumitree.rendering.geometry import Materials  # noqa: E402
 from support.material_combinations import (  # noqa: E402
     FACTS,
     FAR,

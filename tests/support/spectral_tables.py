@@ -8,7 +8,7 @@ import numpy as np
 
 def facts(variant):
     """Largest errors of the laws of `light_table`, by spectrum."""
-    from lumitree.asset.asset import EmittedSpectrum, light_field_asset
+    from lumitree.asset.asset import EmittedSpectrum
     from lumitree.core.backend import load_mitsuba
     from lumitree.core.photometry import (
         FILM_LUMINANCE,
@@ -18,23 +18,20 @@ def facts(variant):
         srgb_from_xyz,
         xyz_of_spectrum,
     )
-    from support.fields import random_asset
-    from support.light_fields import random_light_field
 
     mi = load_mitsuba(variant)
-    from lumitree.rendering.plugins.light_colour import (
+    from lumitree.rendering.light_colour import (
         SpectralColour,
         d65,
         light_table,
         smooth_basis,
     )
 
-    frame = random_asset(0).frame
     rgb = np.random.default_rng(0).random((50, 3))
 
     def table(spectrum, share=1.0):
         known = None if spectrum is None else EmittedSpectrum.of(spectrum, share)
-        return light_table(light_field_asset(random_light_field(0), frame, "test", known))
+        return light_table(known)
 
     def colours(spectra):
         return srgb_from_xyz(xyz_of_spectrum(spectra)) / FILM_LUMINANCE

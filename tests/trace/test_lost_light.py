@@ -9,7 +9,7 @@ import trimesh
 
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.lamp.luminaire import load_luminaire
-from lumitree.measure.photometry.far_field import luminaire_source, measure
+from lumitree.measure.far_field import luminaire_source, measure
 from support.lamps import AREA, GLASS, cube, lamp_of, sphere
 
 RAYS = 1 << 16

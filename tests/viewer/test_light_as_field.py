@@ -11,7 +11,7 @@ from lumitree.core.device import on_device
 from lumitree.core.frames import LocalFrame, similarity
 from lumitree.core.harmonics import MAX_L, basis_array
 from lumitree.core.octahedral import middle_directions, solid_angles
-from lumitree.octree.leaves import leaf_cells
+from lumitree.octree.build import leaf_cells
 from lumitree.viewer.light_as_field import (
     DEFAULT_VIEW,
     DENSITY,
@@ -53,7 +53,7 @@ def rays_of_images(half_extents, count, towards):
 @pytest.mark.parametrize("half_extents", [(1, 0.6, 0.8), (0.7, 1e-3, 1)])
 @pytest.mark.parametrize("gain", [(1.0, 1.0, 1.0), (0.5, 2.0, 1.0)])
 def test_radiance_is_that_of_the_light_field(mi, half_extents, gain):
-    from lumitree.rendering.sampling.light_field import device_light_field
+    from lumitree.rendering.device_light import device_light_field
 
     asset = spot_asset(half_extents, gain=gain)
     origin, direction = rays_of_images(half_extents, 4000, SPOT)

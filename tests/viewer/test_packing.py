@@ -11,7 +11,7 @@ from lumitree.asset.asset import light_field_asset
 from lumitree.asset.light_field import unpack
 from lumitree.core.frames import LocalFrame
 from lumitree.core.photometry import luminance
-from lumitree.octree.wide_nodes import LEAF
+from lumitree.octree.build import LEAF
 from lumitree.viewer.packing import PackedAsset, pack_asset
 from lumitree.viewer.view import make_page, notebook_frame
 from support.fields import make_asset, random_asset

@@ -81,7 +81,7 @@ def model_shapes():
 
 def test_image_is_that_of_the_model(mi, tmp_path):
     """Of all kinds of surfaces, as `lumitree_path` shows it; what is beside it is not hidden."""
-    from lumitree.rendering.plugins.register import shape
+    from lumitree.rendering.register import shape
     from lumitree.rendering.studio import BACKDROP, portrait_half_width, studio_lights
 
     shapes, materials = model_shapes()
@@ -163,11 +163,11 @@ def test_image_of_an_light_field(mi, tmp_path):
     found = evaluate(page, f"await lumitree.image({json.dumps(view | size)})", tmp_path / "profile")
     pixels = floats(found["radiance"]).reshape(40, 60, 4)
     direction = camera_rays(**view, **size).reshape(-1, 3)
-    from lumitree.rendering.sampling.light_field import device_light_field
+    from lumitree.rendering.device import DeviceAsset
 
     origin = on_device(mi.Point3f, np.tile(view["eye"], (len(direction), 1)))
-    rays = origin, origin, on_device(mi.Vector3f, direction), mi.Float(0)
-    expected = np.array(device_light_field(asset).eval(*rays)[0], np.float64).reshape(3, 40, 60)
+    rays = origin, origin, on_device(mi.Vector3f, direction)
+    expected = np.array(DeviceAsset(asset).light.eval(*rays)[0], np.float64).reshape(3, 40, 60)
     difference = np.abs(pixels[..., :3] - np.moveaxis(expected, 0, -1)).mean()
     assert difference < 0.05 * expected.mean()
     shown = "document.getElementById('figure-Shown').textContent"

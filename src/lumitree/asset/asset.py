@@ -254,11 +254,9 @@ class Asset:
         load_mitsuba()
         from lumitree.octree.field import shared_field
 
-        # The reference keeps the device copy alive for the next call.
-        self.__dict__["_field"] = field = shared_field(self)
         frame, rotation = self.frame, self.frame.rotation
         local = (origin - frame.centre) @ rotation / frame.scale
-        return field.eval_rays(local, direction / length @ rotation)
+        return shared_field(self).eval_rays(local, direction / length @ rotation)
 
 
 @dataclasses.dataclass(frozen=True)

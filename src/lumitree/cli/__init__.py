@@ -1,5 +1,4 @@
-# PYTHON_ARGCOMPLETE_OK
-"""The command line. Each command has one file, and calls one function of `lumitree`."""
+"""The command line: public functions as commands, with what differs."""
 
 from lumitree.cli.app import main
 

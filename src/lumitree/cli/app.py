@@ -1,37 +1,22 @@
 """The program `lumitree`: parses the command line, runs one command, prints errors in one line."""
 
-import argparse
+import contextlib
 import errno
+import functools
 import io
+import json
 import os
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
-from lumitree.cli import (
-    bake,
-    blender_extension,
-    capture,
-    collect,
-    demo,
-    evaluate,
-    export,
-    extract,
-    illuminance,
-    info,
-    list_luminaires,
-    mix,
-    photometry,
-    preview,
-    refine,
-    render,
-    train,
-    view,
-)
-from lumitree.cli.completion import complete
-from lumitree.cli.options import Parser, check_files
+from cyclopts import App, CycloptsError, Parameter
+
+from lumitree._version import __version__
+from lumitree.cli.commands import COMMANDS, Command, Given, join_groups
 from lumitree.cli.output import LONGEST_LINE
+from lumitree.cli.signatures import OUTPUTS, with_signature
 from lumitree.core.backend import quieten
 from lumitree.core.files import remove_abandoned_scratch
 from lumitree.core.interruption import (
@@ -44,28 +29,6 @@ from lumitree.core.interruption import (
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 
 DEBUG = "LUMITREE_DEBUG"
-# Options whose values may begin with a minus sign, which argparse would parse as an option.
-_VECTOR_OPTIONS = ("--at", "--rotate", "--gain", "--plane", "--normal")
-_COMMANDS = (
-    list_luminaires,
-    preview,
-    capture,
-    train,
-    extract,
-    bake,
-    collect,
-    refine,
-    mix,
-    info,
-    evaluate,
-    photometry,
-    illuminance,
-    render,
-    view,
-    export,
-    blender_extension,
-    demo,
-)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -107,22 +70,92 @@ def _run(arguments: list[str]) -> int:
         warnings.showwarning = _show_warning
         warnings.simplefilter("always", LumitreeWarning)
         with interruptible():
-            parser = _parser()
-            complete(parser)
-            args = parser.parse_args(_join_vectors(arguments or ["--help"]))
-            check_files(args)
-            _check_json_output(args.json)
+            found = _parsed(arguments or ["--help"])
+            if found is None:
+                return 0
+            name, given = found
+            _check_files(given)
+            _check_json_output(given.get("json"))
             # A command that continues a killed one may need no temporary folder itself.
             remove_abandoned_scratch()
-            result = args.run(args)
+            result = COMMANDS[name](given)
         with deferred_interrupt("the work is complete; a second signal ends at once"):
-            _show(args, result)
+            _show(COMMANDS[name], given, result)
             return _status(result)
 
 
-def _show(args: argparse.Namespace, result: Any) -> None:
+def _parsed(arguments: list[str]) -> tuple[str, Given] | None:
+    """Name and arguments of a command; None if help or a version was printed instead."""
+    name = arguments[0]
     try:
-        args.show(args, result)
+        parser = program(name if name in COMMANDS or name == "--help" else None)
+        return parser(join_groups(name, arguments), exit_on_error=False, print_error=False)
+    except CycloptsError as error:
+        of = f" {name}" if name in COMMANDS else ""
+        text = " ".join(str(error).split()).rstrip(".")
+        raise LumitreeError(f"{text}; see 'lumitree{of} --help'") from None
+
+
+def program(command: str | None = None) -> App:
+    """The parser of the command line; calls return the name of a command and its arguments.
+
+    Args:
+        command: the one that has options; the others are only listed. Default: all.
+    """
+    parser = App(
+        name="lumitree",
+        help="Bake a complex luminaire into a compact emitter for Mitsuba 3.",
+        version=__version__,
+        help_format="plaintext",
+        default_parameter=Parameter(negative=()),
+        result_action="return_value",
+    )
+    for name, each in COMMANDS.items():
+        called = functools.partial(lambda name, given: (name, given), name)
+        options = each.all_options() if command in (None, name) else {}
+        parser.command(with_signature(called, *each.help(), options), name=name)
+    parser.register_install_completion_command()
+    return parser
+
+
+def _check_files(given: Given) -> None:
+    """Refuse a file that a command would write twice, or write over one that it reads."""
+    written: set[str] = set()
+    texts = list(_texts(given))
+    read = {_place(text) for name, text in texts if name not in OUTPUTS}
+    for text in (text for name, text in texts if name in OUTPUTS):
+        place = _place(text)
+        if place in written:
+            raise LumitreeError(f"{shown(text, 300)} is given for two outputs; name each its own")
+        if place in read and os.path.isfile(text):
+            raise LumitreeError(
+                f"{shown(text, 300)} is read, and would be written over; choose another output"
+            )
+        written.add(place)
+
+
+def _texts(given: Given) -> Iterator[tuple[str, str]]:
+    """The texts among arguments, and in their lists, with the names of the arguments."""
+    for name, value in given.items():
+        for each in value if isinstance(value, list | tuple) else [value]:
+            if isinstance(each, str):
+                group = name in ("place", "plane", "surface")
+                yield name, next(iter(json.loads(each).values())) if group else each
+
+
+def _place(name: str) -> str:
+    """The file that a name stands for, which may have several, as with Lamp.ies and lamp.ies."""
+    with contextlib.suppress(OSError, ValueError):
+        found = os.stat(name)
+        # Some file systems of Windows do not number files.
+        if found.st_ino:
+            return f"{found.st_dev}:{found.st_ino}"
+    return os.path.normcase(os.path.realpath(name))
+
+
+def _show(command: Command, given: Given, result: Any) -> None:
+    try:
+        command.print(result, given)
         sys.stdout.flush()
     except OSError as error:
         # On Windows the error is only an invalid argument.
@@ -134,10 +167,10 @@ def _show(args: argparse.Namespace, result: Any) -> None:
             f"cannot print the results: {error.strerror or error}; print them elsewhere"
         ) from error
     finally:
-        if args.json:
+        if "json" in given:
             from lumitree.core.files import write_json
 
-            write_json(args.json, result if isinstance(result, dict) else result.to_json())
+            write_json(given["json"], result if isinstance(result, dict) else result.to_json())
 
 
 def _status(result: Any) -> int:
@@ -192,30 +225,3 @@ def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
 def _fail(message: str, status: int) -> int:
     print(f"lumitree: error: {shown(message, LONGEST_LINE)}", file=sys.stderr)
     return status
-
-
-def _join_vectors(arguments: list[str]) -> list[str]:
-    joined: list[str] = []
-    for argument in arguments:
-        if joined and joined[-1] in _VECTOR_OPTIONS:
-            joined[-1] += f"={argument}"
-        else:
-            joined.append(argument)
-    return joined
-
-
-def _parser() -> Parser:
-    parser = Parser(
-        prog="lumitree",
-        description="Bake a complex luminaire into a compact emitter for Mitsuba 3.",
-        epilog="LUMINAIRE is a built-in name (see 'lumitree list'), a Mitsuba 3 scene (.xml), or a "
-        "model (.obj, .gltf, .glb) with an optional .toml of the same name beside it; see "
-        "docs/bring-your-own-lamp.md.",
-    )
-    from lumitree import __version__
-
-    parser.add_argument("--version", action="version", version=f"lumitree {__version__}")
-    commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=Parser)
-    for command in _COMMANDS:
-        command.add(commands)
-    return parser

@@ -2,53 +2,77 @@
 
 import dataclasses
 import re
+import sys
 import textwrap
-import types
-import typing
-from collections.abc import Callable, Collection
-from typing import Any, Literal, TypeVar
+from collections.abc import Collection
+from pathlib import Path
+from typing import Any
 
-from lumitree.core.toml_table import Table, UnexpectedError, boolean, is_number, text
-from lumitree.errors import LumitreeError
+from lumitree.core.toml_file import converted, read_toml
+from lumitree.errors import LumitreeError, shown
+from lumitree.fit.config import BakeConfig, Method, Quality
 
-_T = TypeVar("_T")
 _WIDTH = 98
+_FURTHER = ("work", "variant")
+_HEAD = """# Settings of 'lumitree bake --config FILE'. Remove the # before a setting to change it.
+# "..." stands for None: the setting has no value unless it is given.
+
+# Folder for the state, which is kept; it must be new, empty or that of an earlier call. Default:
+# the name of ASSET with .work, removed at the end.
+#work = ...
+
+# Mitsuba variant. Default: "llvm_ad_rgb".
+#variant = ...
+"""
 
 
-def read_config(table: Table, config: _T) -> tuple[_T, list[str]]:
-    """Settings of a table, over others.
-
-    Args:
-        table: of the file, or of a group.
-        config: dataclass whose fields are replaced where the table has them.
+def read_config(
+    file: str, quality: Quality | None = None, method: Method | None = None
+) -> tuple[BakeConfig, dict[str, Any]]:
+    """Settings of a quality, with the values of a file.
 
     Returns:
-        The settings, and the full names of the fields that the table has.
+        The settings, and the arguments `work` and `variant` of `bake` that the file has.
 
     Raises:
-        LumitreeError: a value is of the wrong type or out of range; it names the file.
+        LumitreeError: a key is unknown, or a value is of the wrong type or out of range; it names
+            the file.
     """
-    given: list[str] = []
-    values: dict[str, Any] = {}
-    hints = typing.get_type_hints(type(config))
-    for field in dataclasses.fields(typing.cast(Any, config)):
-        old = getattr(config, field.name)
-        if dataclasses.is_dataclass(old):
-            group = table.table(field.name)
-            if group is not None:
-                values[field.name], names = read_config(group, old)
-                given += [f"{field.name}.{name}" for name in names]
-                group.finish()
-        elif (value := table.take(field.name, _reader(hints[field.name]))) is not None:
-            values[field.name] = value
-            given.append(field.name)
-    if "rays" in given and "time" not in given and "time" in hints:
-        # As on a command line: a budget of rays replaces a budget of time.
-        values["time"] = None
-    try:
-        return dataclasses.replace(typing.cast(Any, config), **values), given
-    except LumitreeError as error:
-        table.fail(str(error))
+    path = Path(file)
+    values = read_toml(path, "a TOML file of settings")
+    further = {name: values.pop(name) for name in _FURTHER if name in values}
+    for name, value in further.items():
+        if not isinstance(value, str):
+            raise LumitreeError(f"{shown(file, 300)}: {name}: expected a text")
+    octree = values.get("octree")
+    if isinstance(octree, dict) and "rays" in octree:
+        # As for `bake`: a budget of rays replaces a budget of time.
+        octree.setdefault("time", None)
+    base = BakeConfig.of(quality, values.get("method", method) or "octree")
+    return converted(_completed(values, base), BakeConfig, path), further
+
+
+def _completed(values: dict[str, Any], config: Any) -> dict[str, Any]:
+    """A table, with the fields of a dataclass that it lacks."""
+    found = {field.name: getattr(config, field.name) for field in dataclasses.fields(config)}
+    for name, value in values.items():
+        group = isinstance(value, dict) and dataclasses.is_dataclass(found.get(name))
+        found[name] = _completed(value, found[name]) if group else value
+    return found
+
+
+def write_config(
+    file: str, quality: Quality | None = None, method: Method | None = None
+) -> dict[str, str]:
+    """Write the settings of a quality, with comments, to a file or, with "-", to the terminal."""
+    from lumitree.core.files import write_bytes
+
+    text = _HEAD + config_text(BakeConfig.of(quality, method or "octree"))
+    if file == "-":
+        sys.stdout.write(text)
+    else:
+        write_bytes(file, text.encode())
+    return {"config": file}
 
 
 def config_text(config: Any) -> str:
@@ -100,34 +124,3 @@ def _shown(value: Any) -> str:
     if isinstance(value, Collection):
         return "[" + ", ".join(map(_shown, value)) + "]"
     return repr(value)
-
-
-def _reader(hint: Any) -> Callable[[Any], Any]:
-    """Reader of the values of a field, by its annotation."""
-    if isinstance(hint, types.UnionType) or typing.get_origin(hint) is typing.Union:
-        (hint,) = (each for each in typing.get_args(hint) if each is not types.NoneType)
-    if hint is bool:
-        return boolean
-    if hint is int:
-        return _whole
-    if hint is float:
-        return _number
-    return text if hint is str or typing.get_origin(hint) is Literal else _texts
-
-
-def _whole(value: Any) -> int:
-    if not isinstance(value, int) or isinstance(value, bool):
-        raise UnexpectedError("a whole number")
-    return value
-
-
-def _number(value: Any) -> float:
-    if not is_number(value):
-        raise UnexpectedError("a number")
-    return float(value)
-
-
-def _texts(value: Any) -> tuple[str, ...]:
-    if not isinstance(value, list) or not all(isinstance(each, str) for each in value):
-        raise UnexpectedError("a list of texts")
-    return tuple(value)

@@ -1,15 +1,14 @@
 """Printing of results."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
-from lumitree.core.photometry import flux_text
 from lumitree.errors import shown
 
 LONGEST_LINE = 1000
-# Longest list of lamps that is printed whole.
-_MOST_LAMPS = 100
+# Longest lists of lamps and shapes that are printed whole.
+_MOST_LAMPS, _MOST_SHAPES = 100, 20
 # Figures of a radiance field.
 _OF_FIELD = ("tree_depth", "leaves", "nodes", "l_max", "law", "max_radiance")
 
@@ -77,21 +76,11 @@ def print_report(report: dict[str, Any]) -> None:
 
 def print_metrics(report: dict[str, Any]) -> None:
     """Print the mean metrics of an evaluation as a table."""
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    name = shown(report["asset"]["luminaire"])
     views = "irradiance"
     if report["views"]:
         views = f"{len(report['views'])} views, {report['spp']:,} paths per pixel"
-    # Not a string, in which rich would interpret markup.
-    table = Table(title=Text(f"{name}: {views}"))
-    table.add_column("metric")
-    table.add_column("mean", justify="right")
-    for metric, value in report["metrics"].items():
-        table.add_row(metric, f"{value:.4f}")
-    Console().print(table)
+    rows = [(metric, f"{value:.4f}") for metric, value in report["metrics"].items()]
+    _print_table(f"{shown(report['asset']['luminaire'])}: {views}", ("metric", "mean"), rows)
     _print_irradiance(report["irradiance"])
     for name in ("sheet", "irradiance_sheet"):
         if report[name] is not None:
@@ -134,23 +123,22 @@ def _irradiance_lines(irradiance: dict[str, Any]) -> dict[str, str]:
 
 def _print_irradiance(irradiance: dict[str, Any] | None) -> None:
     """The table of the faces, or a line that says that there is none."""
-    from rich.console import Console
-    from rich.table import Table
-
     if irradiance is None:
         print(
             "irradiance: not compared; that takes a luminaire, not a dataset, and "
             "--irradiance-paths above 0"
         )
         return
-    table = Table(title="irradiance around the lamp, baked / explicit")
-    for heading in ("face", "ratio", "relative RMS error"):
-        table.add_column(heading, justify="left" if heading == "face" else "right")
-    for face, values in irradiance["faces"].items():
-        table.add_row(face, *(_with_error(values, name) for name in ("ratio", "rms")))
-    Console().print(table)
+    rows = [
+        (face, *(_with_error(values, name) for name in ("ratio", "rms")))
+        for face, values in irradiance["faces"].items()
+    ]
+    heads = ("face", "ratio", "relative RMS error")
+    _print_table("irradiance around the lamp, baked / explicit", heads, rows)
     # A comparison of two assets has none.
     if (flux := irradiance.get("flux")) is not None:
+        from lumitree.core.photometry import flux_text
+
         print(f"flux: {flux_text(flux['light_paths'], flux['light_paths_error'])} by light paths")
         if flux["camera_paths"] is not None:
             text = flux_text(flux["camera_paths"], flux["camera_paths_error"])
@@ -174,3 +162,103 @@ def _rounded(value: Any) -> Any:
     if isinstance(value, list):
         return ", ".join(str(_rounded(item)) for item in value)
     return value
+
+
+def print_list(result: dict[str, Any]) -> None:
+    """Print the built-in luminaires."""
+    for name, item in result["luminaires"].items():
+        size = " x ".join(f"{side:.3g}" for side in item["size"])
+        print(f"{name:>20}  {item['description']}")
+        print(
+            f"{'':>20}  {item['triangles']:,} triangles, emitters: {item['emitters']}, of up to "
+            f"{item['emitted_radiance']:.4g} W/(m² sr), {size} m, "
+            f"{'media' if item['has_media'] else 'no media'}"
+        )
+
+
+def print_preview(result: Any) -> None:
+    """Print the figures of a preview, and the shapes of a luminaire."""
+    if not hasattr(result, "shapes"):
+        print_result(result, result.sheet)
+        return
+    watts = ", ".join(f"{value:.4g}" for value in result.flux.watts)
+    errors = ", ".join(f"{value:.2g}" for value in result.flux.watts_error)
+    lines = {
+        "luminaire": result.luminaire,
+        "triangles": f"{result.triangles:,}",
+        "emitters": result.emitters,
+        "L_max": f"{result.max_radiance:.4g} W/(m² sr)",
+        "size": " x ".join(f"{side:.4g}" for side in result.size),
+        "media": "yes" if result.has_media else "no",
+        "flux": f"{result.flux} (if lengths are in metres)",
+        "flux R, G, B": f"{watts} ± {errors} W",
+        "paths per second": f"{result.paths_per_second:,.0f}",
+    }
+    for item in result.bounces or ():
+        name = f"beyond {item.path_depth} bounces"
+        lines[name] = f"{100 * item.share:.2g} ± {100 * item.error:.1g} % of the flux"
+    print_lines(lines)
+    for shape in result.shapes[:_MOST_SHAPES]:
+        print_lines({"shape": shape})
+    if (more := len(result.shapes) - _MOST_SHAPES) > 0:
+        print_lines({"shapes": f"{more:,} more; --json writes all"})
+    print_lines({"sheet": result.sheet})
+    print_open(result.sheet)
+
+
+def print_exported(result: Any) -> None:
+    """Print the figures of an export, and what is not carried over."""
+    report = result.to_json()
+    report["files"] = len(result.files)
+    for line in report.pop("not_carried_over"):
+        print(f"note: {line}")
+    print_report(report)
+    print_open(result.file)
+
+
+def print_illuminance(result: Any, outputs: Sequence[str]) -> None:
+    """Print the illuminance of each area."""
+    rows = []
+    for area in result.areas:
+        mean = f"{area.mean:.4g} ± {area.mean_error:.2g}"
+        count = f"{area.count - area.enclosed:,}"
+        ratios = (f"{area.uniformity:.3f}", f"{area.diversity:.3f}")
+        extremes = (f"{area.smallest:.4g}", f"{area.largest:.4g}")
+        rows.append((shown(area.name, 100), count, mean, *extremes, *ratios))
+    heads = ("area", "points", "mean", "smallest", "largest", "U0", "Ud")
+    kind = "direct illuminance, lx" if result.direct_only else "illuminance, lx"
+    _print_table(kind, heads, rows)
+    if enclosed := sum(area.enclosed for area in result.areas):
+        print(f"note: {enclosed:,} points are inside solids, and do not count")
+    print_lines({f"{stage} (s)": round(value, 1) for stage, value in result.seconds.items()})
+    print_open(next(iter(outputs), None))
+
+
+def print_photometry(result: Any) -> None:
+    """Print the photometric figures, and the distance of the far field."""
+    from lumitree.measure.photometric_figures import NEAR_FIELD_HEADER, figure_rows, near_field_rows
+
+    rows = figure_rows(result, result.size, result.step, result.rays, result.ugr)
+    details = {name.replace("_", " "): text for name, text in result.details.items()}
+    print_lines({"luminaire": result.luminaire, **details, **dict(rows)})
+    title = "far field, intensity / distance², within 5 %"
+    _print_table(title, NEAR_FIELD_HEADER, near_field_rows(result.near_field))
+    for path in result.files:
+        print(f"written: {shown(path, LONGEST_LINE)}")
+    # A report, if there is one.
+    reports = [path for path in result.files if path.suffix.lower() in (".html", ".pdf")]
+    print_open(next(iter((*reports, *result.files)), None))
+
+
+def _print_table(title: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    # Not strings, in which rich would interpret markup.
+    table = Table(title=Text(title))
+    for index, heading in enumerate(heads):
+        table.add_column(heading, justify="right" if index else "left")
+    for row in rows:
+        table.add_row(*map(Text, row))
+    Console().print(table)

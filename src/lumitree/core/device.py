@@ -4,7 +4,9 @@ Dr.Jit is imported when it is used. Modules that import this one are imported be
 `load_mitsuba`, which explains what is missing before Dr.Jit does.
 """
 
-from collections.abc import Iterable
+import threading
+import weakref
+from collections.abc import Callable, Hashable, Iterable
 from typing import Any
 
 import numpy as np
@@ -14,6 +16,30 @@ from numpy.typing import ArrayLike, NDArray
 _PACKET = 64
 # Bytes. Dr.Jit compiles a different kernel for unaligned arrays, and NumPy aligns only some.
 _ALIGNMENT = 64
+
+_LOCK = threading.Lock()
+_SHARED: weakref.WeakKeyDictionary[Any, dict[Hashable, Any]] = weakref.WeakKeyDictionary()
+
+
+def shared(owner: Any, key: Hashable, make: Callable[[], Any]) -> Any:
+    """Device data of an owner, such as an asset: made on first use in the variant that is set.
+
+    It lives as long as the owner, to which it must not refer.
+
+    Args:
+        key: that stands for it among the owner's data.
+        make: function that makes it.
+    """
+    import mitsuba as mi
+
+    with _LOCK:
+        known = _SHARED.setdefault(owner, {})
+    key = str(mi.variant()), key
+    if key not in known:
+        # Mitsuba creates plugins in parallel, and a thread that waits for the device may create
+        # others meanwhile. So the lock is not held here; of two copies, the first is kept.
+        known.setdefault(key, make())
+    return known[key]
 
 
 def parameter(kind: Any, *values: float) -> Any:

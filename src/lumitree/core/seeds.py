@@ -52,6 +52,7 @@ class Purpose(enum.IntEnum):
     ILLUMINANCE = 26
     SPECTRUM = 27  # flux of each emitter of a luminaire, by which its spectrum is weighted
     CELLS = 28  # cells of a light field; draw 0: light paths, 1: which segments
+    FIELD_RAYS = 29  # rays of a radiance field, from which its light field is made; step: batch
 
 
 @dataclasses.dataclass(frozen=True)

@@ -21,7 +21,7 @@ from lumitree.asset.light_field import LightField, unpack
 from lumitree.core.octahedral import solid_angles
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.errors import LumitreeError
-from lumitree.octree.leaves import boxes_inside
+from lumitree.octree.build import boxes_inside
 
 # The axis that points up.
 Up = Literal["y", "z"]

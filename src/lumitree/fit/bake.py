@@ -25,7 +25,7 @@ from lumitree.fit.result import BakeResult
 from lumitree.lamp.dataset import Dataset
 from lumitree.lamp.diagnosis import warn_of_faults
 from lumitree.lamp.source import Kind, as_source, dataset_folder, refuse_options, source_kind
-from lumitree.measure.irradiance_check import check_irradiance_paths
+from lumitree.measure.irradiance import check_irradiance_paths
 from lumitree.rendering.asset_cache import open_asset
 
 if TYPE_CHECKING:
@@ -190,7 +190,7 @@ def _check_parts(config: BakeConfig, source: object, kind: Kind, part: Part) -> 
 
 
 def _bake_photometric(source: Any, output: FilePath | None, config: BakeConfig) -> BakeResult:
-    from lumitree.formats.file_bakes import bake_file
+    from lumitree.formats.photometric_file import bake_file
     from lumitree.rendering.asset_flux import with_light
 
     described, watch = as_source(source), Stopwatch()

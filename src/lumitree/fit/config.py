@@ -22,7 +22,7 @@ from lumitree.errors import LumitreeError
 from lumitree.fit.network.config import TrainConfig
 from lumitree.fit.octree.config import EstimateConfig, OctreeConfig, RefineConfig
 from lumitree.lamp.dataset import MAX_VIEWS
-from lumitree.measure.irradiance_check import check_irradiance_paths
+from lumitree.measure.irradiance import check_irradiance_paths
 from lumitree.octree.build import check_tree_depth
 from lumitree.trace.light_field_config import LightFieldConfig
 

@@ -12,8 +12,9 @@ from lumitree.core.files import FilePath, WorkFolder, WriteError, scratch_folder
 from lumitree.core.interruption import deferred_interrupt, interruptible, interruption_behind
 from lumitree.core.results import Stopwatch
 from lumitree.errors import LumitreeError, shown
+from lumitree.fit.field_light import with_field_light
 from lumitree.fit.result import BakeResult
-from lumitree.measure.irradiance_check import measure_irradiance
+from lumitree.measure.irradiance import measure_irradiance
 
 if TYPE_CHECKING:
     from lumitree.lamp.luminaire import Luminaire
@@ -70,6 +71,8 @@ def finish_bake(
 ) -> BakeResult:
     """Write an asset with the spectrum of its luminaire, and compare the irradiance around both.
 
+    An asset with a radiance field only gets a light field (`with_field_light`).
+
     Args:
         watch: measures the stage "irradiance"; all its times become the result's.
         luminaire: what was baked; None: the asset keeps its spectrum, and the irradiance is not
@@ -83,7 +86,7 @@ def finish_bake(
         from lumitree.trace.flux import emitted_spectrum
 
         asset = dataclasses.replace(asset, spectrum=emitted_spectrum(luminaire))
-    asset = as_stored(asset)
+    asset = as_stored(with_field_light(asset))
     irradiance, complete = None, stopped_by is None
     with deferred_interrupt() as interruption:
         path = save_asset(asset, output)

@@ -9,22 +9,40 @@ is the first part of its content type:
     image/, document/, ...
 
 The XML has variants of the product. A variant joins a geometry and emitters; an emitter has a
-photometry, a rotation and a luminous flux. In this module x, y and z are GLDF's: z is up.
+photometry, a rotation and a luminous flux. In a variant x, y and z are GLDF's: z is up.
+
+The asset of a variant has the light of the photometries, each on its light emitting object with the
+intensities of the photometry. The 3D model is its geometry, which images show.
 """
 
 import dataclasses
 import os
+import warnings
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from xml.etree.ElementTree import Element
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.frames import rotation
-from lumitree.errors import LumitreeError, shown, shown_names
-from lumitree.formats.archive import Archive
-from lumitree.formats.l3d import zxy
+from lumitree.asset.asset import Asset
+from lumitree.asset.geometry import AssetGeometry
+from lumitree.core.files import scratch_folder, write_bytes
+from lumitree.core.frames import LocalFrame, rotation
+from lumitree.errors import LumitreeError, LumitreeWarning, shown, shown_names
+from lumitree.formats.ies import read_ies
+from lumitree.formats.l3d import KIND as L3D_KIND
+from lumitree.formats.l3d import Y_UP, L3d, l3d_geometry, plain_name, read_l3d, zxy
+from lumitree.formats.ldt import read_ldt
+from lumitree.formats.light_field import bake_distribution
+from lumitree.formats.light_sources import LightSource, bake_sources
 from lumitree.formats.opening import Opening
-from lumitree.formats.xml_tree import number_of, parse_xml, text_of
+from lumitree.formats.reading import Archive, number_of, parse_xml, text_of, warn_of_file
+from lumitree.formats.tm33 import read_tm33
+from lumitree.formats.type_c import IntensityDistribution
+from lumitree.lamp.luminaire import load_luminaire
+from lumitree.lamp.scene_writer import write_scene
+from lumitree.lamp.stored_geometry import stored_geometry
 
 KIND = "a GLDF file (.gldf)"
 _PRODUCT = "product.xml"
@@ -32,6 +50,14 @@ _MM_PER_M = 1000.0
 _EMITTERS = ("ChangeableLightEmitter", "FixedLightEmitter", "MultiChannelLightEmitter")
 _DETAIL = {"Low": 0, "": 1, "Medium": 2, "High": 3}
 _MAX_SOURCES = 200
+_SUFFIX_OF = {"ldc/eulumdat": ".ldt", "ldc/ies": ".ies", "ldc/iesxml": ".xml"}
+_READERS: dict[str, Callable[[Path], IntensityDistribution]] = {
+    ".ldt": read_ldt,
+    ".ies": read_ies,
+    ".xml": lambda path: read_tm33(path)[0],
+}
+# Relative change of a luminous flux that is warned of.
+_CHANGED = 0.01
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,8 +93,8 @@ class GldfEmitter:
         object_name: of the light emitting object of the 3D model; empty if there is no model.
         photometry: file of its intensities.
         turn: [3, 3] rotation of the photometry before it is placed.
-        lumens: luminous flux of its light sources, lm, with which the product replaces that of the
-            file; None to keep it.
+        lumens: luminous flux of its light sources, lm, which replaces the flux in the file; None
+            to keep this.
     """
 
     object_name: str
@@ -116,8 +142,7 @@ class _Reader:
     def variant(self, chosen: str | None) -> GldfVariant:
         found = self._chosen(chosen)
         product = self._name(self._root.find("ProductDefinitions/ProductMetaData"))
-        own = self._name(found)
-        name = " ".join(dict.fromkeys(each for each in (product, own) if each))
+        name = " ".join(dict.fromkeys(each for each in (product, self._name(found)) if each))
         emitters, model, opening = self._geometry(found)
         if not emitters:
             version = text_of(self._root, "Header/FormatVersion")
@@ -225,7 +250,7 @@ class _Reader:
         return Opening((diameter, height, diameter), "cylinder")
 
     def _emitters(self, references: list[Element]) -> list[GldfEmitter]:
-        """Those that light in normal operation; one for each channel."""
+        """Emitters that light in normal operation; one for each channel."""
         found: list[GldfEmitter] = []
         for reference in references:
             emitter = self._found("Emitter", reference, "emitterId")
@@ -233,7 +258,7 @@ class _Reader:
             lights = [each for each in emitter if each.tag in _EMITTERS]
             normal = [each for each in lights if each.get("emergencyBehaviour") != "EmergencyOnly"]
             if len(normal) < len(lights):
-                self._notes.append("its emitters for emergency operation are left out")
+                self._notes.append("its emitters for emergency operation are not read")
             if len(normal) > 1:
                 self._notes.append(
                     f"emitter {shown(emitter.get('id', ''))!r} has {len(normal)} interchangeable "
@@ -312,3 +337,130 @@ def _turn(element: Element | None) -> NDArray[np.float64]:
         return np.eye(3)
     x, y, z, g0 = (number_of(element, key, 0.0) for key in ("X", "Y", "Z", "G0"))
     return zxy(x, y, z) @ rotation((0, 0, 1), g0)
+
+
+def bake_gldf(path: str | os.PathLike[str], chosen: str | None = None) -> Asset:
+    """Asset of a variant of a GLDF file, by its id or name, or of the first; warns of omissions."""
+    archive = Archive.open(path, KIND)
+    variant = read_variant(archive, path, chosen)
+    with scratch_folder() as folder:
+        return _Bake(archive, path, variant, folder).asset()
+
+
+class _Bake:
+    """The asset of a variant, whose files are written to an empty folder."""
+
+    def __init__(
+        self, archive: Archive, path: str | os.PathLike[str], variant: GldfVariant, folder: Path
+    ) -> None:
+        self._archive, self._path, self._variant = archive, path, variant
+        self._folder = folder
+        self._photometries: dict[GldfFile, IntensityDistribution] = {}
+        for note in variant.notes:
+            warn_of_file(path, note)
+
+    def asset(self) -> Asset:
+        model, inner = None, None
+        if self._variant.model is not None:
+            member = self._variant.model.member(self._archive)
+            content = self._archive.read(member, L3D_KIND)
+            name = f"{shown(member, 200)} in {self._archive.name}"
+            inner = Archive(content, name, L3D_KIND, self._archive)
+            model = read_l3d(inner)
+        sources = [self._source(each, model) for each in self._variant.emitters]
+        corners = np.concatenate([each.corners() for each in sources])
+        geometry = None
+        if model is not None and inner is not None:
+            geometry, box = self._geometry(inner, model, sources)
+            corners = np.concatenate([corners, box])
+        if model is None and len(sources) == 1 and (sources[0].pose == np.eye(4)).all():
+            return self._single(sources[0])
+        frame = LocalFrame.of_box(corners.min(axis=0), corners.max(axis=0))
+        asset = bake_sources(sources, frame, self._variant.name)
+        return dataclasses.replace(asset, geometry=geometry)
+
+    def _single(self, source: LightSource) -> Asset:
+        """The asset of a photometry as its file has it."""
+        asset = bake_distribution(
+            dataclasses.replace(
+                source.distribution, name=self._variant.name, opening=source.opening
+            )
+        )
+        field, factor = asset.light_field, source.lumens / source.distribution.lumens
+        assert field is not None
+        return dataclasses.replace(
+            asset, light_field=dataclasses.replace(field, scale=field.scale * factor)
+        )
+
+    def _source(self, emitter: GldfEmitter, model: L3d | None) -> LightSource:
+        distribution = self._photometry(emitter.photometry)
+        turn = np.eye(4)
+        turn[:3, :3] = emitter.turn
+        place, opening = np.eye(4), self._variant.opening or distribution.opening
+        if model is not None:
+            light = model.object(emitter.object_name)
+            place, opening = light.place, light.opening
+        return LightSource(
+            distribution,
+            opening,
+            Y_UP @ place @ turn @ Y_UP.T,
+            distribution.lumens * self._factor(emitter, distribution),
+        )
+
+    def _factor(self, emitter: GldfEmitter, distribution: IntensityDistribution) -> float:
+        """Luminous flux of the light sources over the flux that the photometry was made with."""
+        reference = distribution.emitted_lumens or distribution.lumens
+        if emitter.lumens is None or not reference > 0:
+            return 1.0
+        factor = emitter.lumens / reference
+        if abs(factor - 1) > _CHANGED:
+            warn_of_file(
+                self._path,
+                f"it states {emitter.lumens:g} lm where {shown(emitter.photometry.name, 100)} is "
+                f"for {reference:g} lm; its own number counts",
+            )
+        return factor
+
+    def _photometry(self, file: GldfFile) -> IntensityDistribution:
+        if file not in self._photometries:
+            member = file.member(self._archive)
+            suffix = Path(file.name).suffix.lower()
+            suffix = suffix if suffix in _SUFFIX_OF.values() else _SUFFIX_OF.get(file.content_type)
+            if suffix is None:
+                raise LumitreeError(
+                    f"{self._archive.name}: {shown(member, 200)} has the content type "
+                    f"{shown(file.content_type)!r}; expected {', '.join(_SUFFIX_OF)}"
+                )
+            content = self._archive.read(member, "a photometric file")
+            copy = self._folder / f"{plain_name(Path(file.name).stem)}{suffix}"
+            write_bytes(copy, content)
+            try:
+                self._photometries[file] = _READERS[suffix](copy)
+            except LumitreeError as error:
+                where = f"{shown(member, 200)} in {self._archive.name}"
+                raise LumitreeError(str(error).replace(shown(copy, 300), where)) from None
+        return self._photometries[file]
+
+    def _geometry(
+        self, archive: Archive, model: L3d, sources: Sequence[LightSource]
+    ) -> tuple[AssetGeometry | None, NDArray[np.float64]]:
+        """Geometry of the model, and corners [N, 3] of its box; None if it cannot be used."""
+        lumens: dict[str, float] = {}
+        for emitter, source in zip(self._variant.emitters, sources, strict=True):
+            lumens[emitter.object_name] = lumens.get(emitter.object_name, 0.0) + source.lumens
+        try:
+            geometry = l3d_geometry(
+                archive, model, lumens, self._folder / plain_name(Path(self._path).name)
+            )
+            scene = write_scene(geometry, self._folder / "scene.l3d")
+            luminaire = load_luminaire(scene)
+            half, centre = luminaire.size / 2, luminaire.frame.centre
+            return stored_geometry(luminaire), np.stack([centre - half, centre + half])
+        except LumitreeError as error:
+            warnings.warn(
+                f"{shown(Path(self._path).name, 200)}: images show its light without its 3D model: "
+                f"{error}",
+                LumitreeWarning,
+                stacklevel=3,
+            )
+            return None, np.zeros((0, 3))

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from lumitree.core.files import atomic_path
 from lumitree.errors import LumitreeError, shown
-from lumitree.formats.ies_fields import SIMULATED
+from lumitree.formats.ies import SIMULATED
 from lumitree.formats.opening import Opening
-from lumitree.formats.photometric_text import (
+from lumitree.formats.reading import (
     MAX_ANGLES,
     MAX_SETS,
     date_of_writing,
@@ -27,9 +27,9 @@ from lumitree.formats.photometric_text import (
     read_text,
     warn_of_file,
     warn_of_flux,
+    without_noise,
 )
-from lumitree.formats.symmetry import EDGE, completed, without_noise
-from lumitree.formats.type_c import IntensityDistribution
+from lumitree.formats.type_c import EDGE, IntensityDistribution, completed
 
 KIND = "EULUMDAT file"
 _MAKER = "lumitree"
@@ -75,8 +75,8 @@ def write_ldt(path: str | os.PathLike[str], distribution: IntensityDistribution)
 def ldt_of(distribution: IntensityDistribution, file_name: str = "") -> Any:
     """EULUMDAT data (`pyldt.Ldt`), without symmetry.
 
-    The flux of the lamps is that of the bare emitters. If it is not known, it is that of the
-    luminaire, and the number of lamps is -1 (absolute photometry). Direct ratios are 0. A round
+    The flux of the lamps is the flux of the bare emitters. If this is not known, it is the flux of
+    the luminaire, and the number of lamps is -1 (absolute photometry). Direct ratios are 0. A round
     luminous area has its diameter as length and no width; other shapes become boxes. Ellipsoids
     become cylinders or boxes that are as large seen from below and from the sides. The length is
     along C = 90, as of linear luminaires.
@@ -151,8 +151,8 @@ def read_ldt(path: str | os.PathLike[str]) -> IntensityDistribution:
 
     Blank fields are 0, a blank conversion factor is 1. A negative number of lamps stands for
     absolute photometry. Warns of small negative intensities, which are taken as 0; of a luminaire
-    that was tilted; of sets of lamps of different flux; and of intensities whose flux is not that
-    of the lamps times the light output ratio.
+    that was tilted; of sets of lamps of different flux; and of intensities whose flux is not the
+    flux of the lamps times the light output ratio.
 
     Raises:
         LumitreeError: the file is missing or damaged.
@@ -183,11 +183,7 @@ class _Reader:
             )
         factor = self._field(_FACTOR) or 1.0
         c, gamma, values = self._intensities()
-        intensity, least = without_noise(values * flux / 1000 * factor)
-        if least < 0:
-            warn_of_file(
-                self._path, f"small negative intensities (down to {least:g} cd) count as 0"
-            )
+        intensity = without_noise(self._path, values * flux / 1000 * factor)
         c, gamma, intensity = completed(c, gamma, intensity)
         relative, opening = self._field(_SETS + 1) > 0, self._opening()
         lamp = IntensityDistribution(
@@ -217,7 +213,7 @@ class _Reader:
             warn_of_file(
                 self._path,
                 f"it has {sets} sets of lamps, of {flux:g}, "
-                f"{', '.join(f'{other:g}' for other in others)} lm; the first is taken (give "
+                f"{', '.join(f'{other:g}' for other in others)} lm; the first is taken (state "
                 "another flux by lumens)",
             )
         return f"{flux:g} lm" + (f", first of {sets} sets" if sets > 1 else "")
@@ -228,7 +224,6 @@ class _Reader:
         return number(text, f"line {line}, luminous flux of set {index + 1},") if text else 0.0
 
     def _compare_flux(self, lumens: float, flux: float, factor: float) -> None:
-        """Warn of intensities whose flux is not what the file states; 0 stands for unknown."""
         stated = flux * self._field(_RATIO) / 100
         by = "" if factor == 1 else f" (its conversion factor of {factor:g} is applied)"
         what = (
@@ -270,8 +265,8 @@ class _Reader:
         numbers, end = self._numbers(_SETS + _LINES_OF_SET * sets)
         # Some files name only the planes that they store, others store all planes nevertheless.
         expected = [
-            (named + angles + held * angles, named, held)
-            for named, held in ((planes, stored), (stored, stored), (planes, planes))
+            (named + angles + stored_planes * angles, named, stored_planes)
+            for named, stored_planes in ((planes, stored), (stored, stored), (planes, planes))
         ]
         fitting = [each for each in expected if each[0] == len(numbers)]
         fitting += [each for each in expected[:1] if each[0] < len(numbers)]
@@ -281,15 +276,15 @@ class _Reader:
                 f"{expected[0][0]} for {planes} planes, {angles} angles and {stored} x {angles} "
                 "intensities"
             )
-        total, named, held = fitting[0]
+        total, named, kept = fitting[0]
         c, gamma, values = np.split(numbers[:total], [named, named + angles])
-        if named > held:
+        if named > kept:
             start = int(first * planes)
-            c = np.take(c, np.arange(start, start + held), mode="wrap")
+            c = np.take(c, np.arange(start, start + kept), mode="wrap")
         if (np.diff(c) < 0).any():
             # From C = 270 over 0 to 90.
             c = np.where(c >= 270, c - 360, c)
-        return c, gamma, values.reshape(held, angles)
+        return c, gamma, values.reshape(kept, angles)
 
     def _numbers(self, start: int) -> tuple[NDArray[np.float64], str]:
         """Numbers after the direct ratios, which are on ten lines or fewer, and what ends them."""

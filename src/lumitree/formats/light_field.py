@@ -1,4 +1,4 @@
-"""Assets with a light field only, from photometric files and ray files.
+"""Assets with a light field only, of intensities with a luminous opening, and of rays.
 
 A photometric file states the far field, and the luminous opening that the light comes from. Its
 asset emits the intensity of a direction ω evenly over the opening's projection along ω, to which a
@@ -6,8 +6,9 @@ surface element of area dA and normal n adds max(n·ω, 0) dA. A file without an
 of 1 cm.
 """
 
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Protocol
 
 import mitsuba as mi
@@ -28,18 +29,19 @@ from lumitree.core.octahedral import (
 from lumitree.core.photometry import LUMENS_PER_WATT, RGB
 from lumitree.errors import LumitreeError
 from lumitree.formats.opening import Opening
-from lumitree.formats.rays import Rays
-from lumitree.formats.start_cells import StartCells
+from lumitree.formats.tm25 import Rays
 from lumitree.formats.type_c import IntensityDistribution
 from lumitree.lamp.parts import WHITE
 from lumitree.trace.histograms import Histogram
 from lumitree.trace.light_field_config import LEAST_DEPTH, LightFieldConfig
 
 Array = NDArray[np.float64]
+Codes = NDArray[np.int64]
+Widths = tuple[float | None, float | None, float | None]
 # Side of the box of a source without extent, m; and the shortest side, as a part of the longest.
 POINT_SIZE = 0.01
 _MIN_EXTENT = 1e-6
-# Bins of direction a side of an asset of a photometric file: of any opening, and of flat ones.
+# Bins of direction a side of an asset of a photometric file: for any opening, and for flat ones.
 RESOLUTIONS, _FLAT_RESOLUTIONS = (64, 128), (64, 128, 256, 512)
 # Number of its bins, cells times bins of direction; 4 bytes each.
 MAX_BINS = 1 << 22
@@ -50,6 +52,61 @@ _COARSE, _BINS_AT_ONCE = 32, 32
 _BIN_ERROR = 0.0025
 # Weights of the quarters of bins around a bin, along each side; and steps of the fit to them.
 _QUARTERS, _FIT_STEPS = (0.25, 0.75, 0.75, 0.25), 2
+
+
+class StartCells:
+    """The cells of a grid of 2**depth cells a side that are in a lamp's box.
+
+    The box cuts its outer cells: `middles` has for each axis the middles of the parts inside,
+    ascending, in local units.
+    """
+
+    def __init__(self, frame: LocalFrame, depth: int) -> None:
+        self.side = 1 << depth
+        edges = np.linspace(-1, 1, self.side + 1)
+        inside = [np.clip(edges, -half, half) for half in frame.half_extents]
+        self._edges = inside
+        self._cells = [np.flatnonzero(np.diff(each) > 0) for each in inside]
+        self.middles = [(each[1:] + each[:-1])[np.diff(each) > 0] / 2 for each in inside]
+
+    def around(
+        self, start: Array, widths: Widths = (None, None, None)
+    ) -> Iterator[tuple[Codes, Array]]:
+        """Index [...] (x slowest) of each of the eight cells around a start, and its share of it.
+
+        Starts [..., 3] and widths are in local units. Along each axis a start extends over a width,
+        at most the width of a cell, and each cell gets the part inside it. With None, the cells are
+        weighted so that their mean position is the start.
+        """
+        axes = [
+            self._neighbours(start[..., axis], axis)
+            if width is None
+            else self._overlapped(start[..., axis], axis, width)
+            for axis, width in enumerate(widths)
+        ]
+        for x, y, z in itertools.product(*axes):
+            yield (x[0] * self.side + y[0]) * self.side + z[0], x[1] * y[1] * z[1]
+
+    def coordinates(self, codes: Codes) -> Codes:
+        """Coordinates [C, 3] of cells by their indices [C]."""
+        return np.stack(np.unravel_index(codes, (self.side,) * 3), axis=1)
+
+    def _overlapped(self, position: Array, axis: int, width: float) -> list[tuple[Codes, Array]]:
+        """The two cells that an interval around a coordinate may be in, and its parts there."""
+        cells, edges = self._cells[axis], self._edges[axis]
+        first = np.clip(position - width / 2, edges[0], edges[-1])
+        lower = np.clip(np.searchsorted(edges, first, "right") - 1, cells[0], cells[-1])
+        upper = np.minimum(lower + 1, cells[-1])
+        part = np.clip((position + width / 2 - edges[lower + 1]) / width, 0, 1)
+        return [(lower, 1 - part), (upper, part)]
+
+    def _neighbours(self, position: Array, axis: int) -> list[tuple[Codes, Array]]:
+        """The two cells whose middles are next to a coordinate, and their weights."""
+        cells, middles = self._cells[axis], self.middles[axis]
+        at = np.interp(position, middles, np.arange(len(cells)))
+        lower = np.minimum(at.astype(np.int64), max(len(cells) - 2, 0))
+        upper = np.minimum(lower + 1, len(cells) - 1)
+        return [(cells[lower], 1 - (at - lower)), (cells[upper], at - lower)]
 
 
 def bake_distribution(distribution: IntensityDistribution, colour: RGB = WHITE) -> Asset:
@@ -72,9 +129,7 @@ def bake_distribution(distribution: IntensityDistribution, colour: RGB = WHITE) 
     return light_field_asset(field, frame, distribution.name)
 
 
-def _flat_shares(
-    opening: Opening, frame: LocalFrame
-) -> tuple[int, NDArray[np.int64], NDArray[np.float64]]:
+def _flat_shares(opening: Opening, frame: LocalFrame) -> tuple[int, Codes, Array]:
     """Depth of a grid, cells [C, 3], and their parts [C] of the opening, for all directions."""
     if opening.shape == "box":
         # Light that is even over the box is exact with cells of any size.
@@ -89,12 +144,13 @@ def _flat_shares(
 
 def _projected_shares(
     opening: Opening, frame: LocalFrame, resolution: int
-) -> tuple[int, NDArray[np.int64], NDArray[np.float64]]:
+) -> tuple[int, Codes, Array]:
     """Depth of a grid, cells [C, 3], and the part [C, R²] of the light of each bin that they emit.
 
     Light that leaves a surface in a direction may start anywhere on the ray behind it. It starts
-    beside the centre of the opening: cells then blur it evenly to all sides. If it started on the
-    surface, cells would move it inwards. The parts are constant in coarser bins than intensities.
+    at the point of the ray nearest to the centre of the opening: cells then blur it evenly to all
+    sides. If it started on the surface, cells would move it inwards. The parts are constant in
+    coarser bins than intensities.
     """
     directions = middle_directions(_COARSE)
     depth, flux = _MAX_DEPTH, np.zeros((0, 0))
@@ -122,11 +178,11 @@ class _Starts:
         points, self._areas = opening.surface()
         self._points = points / frame.scale / self._half
 
-    def flux(self, directions: NDArray[np.float64]) -> NDArray[np.float64]:
+    def flux(self, directions: Array) -> Array:
         """Relative flux [side³, B] of each cell in directions [B, 3]."""
         along = directions / self._half
         along /= np.linalg.norm(along, axis=1, keepdims=True)
-        # In the cube [-1, 1]³: the point of the ray next to the centre, if that is inside.
+        # In the cube [-1, 1]³: the point of the ray nearest to the centre, if it is inside.
         safe = np.where(along == 0, 1e-9, along)[:, None]
         to_face = ((self._points + np.copysign(1, safe)) / safe).min(axis=2)
         back = np.clip(along @ self._points.T, 0, to_face)
@@ -197,9 +253,7 @@ def intensity_by_bin(source: Intensities, resolutions: Sequence[int] = RESOLUTIO
     return candela.ravel() * (source.lumens / total)
 
 
-def _fitted(
-    exact: NDArray[np.float64], weight: NDArray[np.float64], candela: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _fitted(exact: Array, weight: Array, candela: Array) -> Array:
     """Values [R, R] in the middles of bins, between which the error is smaller.
 
     Where intensities are curved, values in the middles are too far on the outer side of the curve.
@@ -217,8 +271,8 @@ def _fitted(
     return candela
 
 
-def _between(candela: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Values [2R, 2R] in the middles of the quarters of bins, linear between those [R, R]."""
+def _between(candela: Array) -> Array:
+    """Values [2R, 2R] in the middles of the quarters of bins, linear between values [R, R]."""
     padded = bordered(candela, 1)
     for _ in range(2):
         below, here, above = padded[:-2], padded[1:-1], padded[2:]
@@ -227,14 +281,14 @@ def _between(candela: NDArray[np.float64]) -> NDArray[np.float64]:
     return padded
 
 
-def _around(values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _around(values: Array) -> Array:
     """Values [4, 4, R, R] of the 16 quarters of bins in and next to each bin, of [2R, 2R]."""
     windows = np.lib.stride_tricks.sliding_window_view(bordered(values, 1), (4, 4))
     return windows[::2, ::2].transpose(2, 3, 0, 1)
 
 
-def _corners(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Values [R + 1, R + 1, ...] in the corners of bins, linear between those in their middles."""
+def _corners(values: Array) -> Array:
+    """Values [R + 1, R + 1, ...] in the corners of bins, linear between their middles."""
     rows = bordered(values, 1)
     rows = (rows[:-1] + rows[1:]) / 2
     return (rows[:, :-1] + rows[:, 1:]) / 2

@@ -1,11 +1,11 @@
-"""The light field of a lamp with several sources, each with its place, opening and intensities.
+"""The light field of a lamp with several sources, each with its pose, opening and intensities.
 
-Each light source emits from its luminous opening with the intensities of its photometric file, see
-`light_field`. Light that leaves the lamp may start anywhere on its ray. Where an
-opening is nearer to a face of the box than the middle of the last cells, the light starts before or
-behind it, at the next place that can be the mean of cells. Along an axis over which an opening
-extends far, cells have the part of it that is in them, which blurs its edges by a cell; along
-another one the mean place of the cells is the opening's.
+Each light source emits from its luminous opening with the intensities of its photometric file, as
+`light_field` describes. Light that leaves the lamp may start anywhere on its ray. Where an opening
+is nearer to a face of the box than the middle of the last cells, its light starts before or behind
+it, at the nearest point of the ray that can be the mean of cells. Along an axis over which an
+opening extends far, each cell has the part of the opening inside it, which blurs its edges by a
+cell; along another axis the mean position of the cells is the opening's.
 
 Symbols
     C   cells           R   bins of direction a side
@@ -18,7 +18,6 @@ import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset, light_field_asset
 from lumitree.asset.light_field import make_light_field
@@ -26,13 +25,17 @@ from lumitree.core.frames import LocalFrame
 from lumitree.core.octahedral import middle_directions, solid_angles
 from lumitree.core.photometry import LUMENS_PER_WATT
 from lumitree.errors import LumitreeError
-from lumitree.formats.light_field import MAX_BINS, POINT_SIZE, intensity_by_bin
+from lumitree.formats.light_field import (
+    MAX_BINS,
+    POINT_SIZE,
+    Array,
+    Codes,
+    StartCells,
+    intensity_by_bin,
+)
 from lumitree.formats.opening import Opening
-from lumitree.formats.start_cells import StartCells
 from lumitree.formats.type_c import IntensityDistribution
 
-Array = NDArray[np.float64]
-Codes = NDArray[np.int64]
 _MAX_DEPTH = 6
 # Bins a side of flat openings and of those with a volume, and how many at once.
 _COARSE, _COARSE_OF_VOLUME, _BINS_AT_ONCE = 32, 16, 32
@@ -40,7 +43,7 @@ _COARSE, _COARSE_OF_VOLUME, _BINS_AT_ONCE = 32, 16, 32
 _POINTS_OF_VOLUME, _MAX_SPAN = 20, 17
 # Points of a flat opening a cell and side, and at most a side.
 _PER_CELL, _MAX_SIDE = 2, 128
-# Cells that an opening must extend over, so that its edges are where they are within a cell.
+# Cells that an opening must extend over, so that its edges are exact within a cell.
 _WIDE = 2
 _MIN_EXTENT = 1e-6
 
@@ -51,35 +54,35 @@ class LightSource:
 
     Attributes:
         distribution: its intensities; the opening of the distribution is not used.
-        opening: that the light comes from.
-        place: [4, 4] rotation and translation from the frame of distribution and opening (y up, C =
-            0 along x) to that of the lamp's file.
+        opening: the luminous opening.
+        pose: [4, 4] rotation and translation from the frame of distribution and opening (y up, C =
+            0 along x) to the frame of the lamp's file.
         lumens: luminous flux, lm.
     """
 
     distribution: IntensityDistribution
     opening: Opening
-    place: Array
+    pose: Array
     lumens: float
 
     @property
     def name(self) -> str:
-        """Of its photometry."""
+        """Name of its photometry."""
         return self.distribution.name
 
     def at(self, direction: Array) -> Array:
         """Intensity [...], cd, in directions [..., 3] of the lamp's file, of the distribution."""
-        turned = (self.place[:3, :3] != np.eye(3)).any()
+        turned = (self.pose[:3, :3] != np.eye(3)).any()
         return self.distribution.at(direction @ self._turn if turned else direction)
 
     def corners(self) -> Array:
         """[8, 3] of the box of the opening, in the frame of the lamp's file, m."""
         signs = np.indices((2, 2, 2)).reshape(3, -1).T - 0.5
-        return signs * self._sides @ self._turn.T + self.place[:3, 3]
+        return signs * self._sides @ self._turn.T + self.pose[:3, 3]
 
     @property
     def _turn(self) -> Array:
-        return np.ascontiguousarray(self.place[:3, :3])
+        return np.ascontiguousarray(self.pose[:3, :3])
 
     @property
     def _sides(self) -> Array:
@@ -90,7 +93,7 @@ class LightSource:
         """Points [N, 3] in the frame of the lamp's file, m, area vectors [N, 3], and widths [3].
 
         Without area vectors each point stands for an equal area, and light of all directions leaves
-        from all points evenly. Widths are the extent of what a point stands for.
+        from all points evenly. Widths are the extent of the part of the surface of a point.
         """
         turn, sides = self._turn, self._sides
         opening = Opening((float(sides[0]), float(sides[1]), float(sides[2])))
@@ -100,7 +103,7 @@ class LightSource:
         else:
             points, areas = opening.surface()
             widths, areas = sides / _POINTS_OF_VOLUME, areas @ turn.T
-        return points @ turn.T + self.place[:3, 3], areas, np.abs(turn) @ widths
+        return points @ turn.T + self.pose[:3, 3], areas, np.abs(turn) @ widths
 
 
 def bake_sources(sources: Sequence[LightSource], frame: LocalFrame, name: str) -> Asset:
@@ -141,7 +144,7 @@ def _all_starts(
 def _radiant_intensities(sources: Sequence[LightSource], frame: LocalFrame, name: str) -> Array:
     """Radiant intensity [S, R²] of each source, local units, whose flux is its lumens."""
     # Lamps in one direction with one photometry are common.
-    keys = [(id(each.distribution), each.place[:3, :3].tobytes()) for each in sources]
+    keys = [(id(each.distribution), each.pose[:3, :3].tobytes()) for each in sources]
     different = dict(zip(keys, sources, strict=True))
     candela = {key: intensity_by_bin(source) for key, source in different.items()}
     resolution = math.isqrt(max(map(len, candela.values())))
@@ -195,7 +198,7 @@ class _Starts:
             for width, many in zip(widths, wide, strict=True)
         )
         self._widths = (x, y, z)
-        # The places that cells around them can have as their mean.
+        # Positions that can be the mean of the cells around them.
         middles, half = self._cells.middles, frame.half_extents
         self._low = np.where(wide, -half, [each[0] for each in middles])
         self._high = np.where(wide, half, [each[-1] for each in middles])
@@ -207,7 +210,7 @@ class _Starts:
     def shares(self, limit: int) -> tuple[Codes, Array]:
         """Indices [C] of cells, and the part [C, B or 1] of the light of each coarse bin there.
 
-        If there are more than `limit` cells, some of them are returned, without light.
+        If there are more than `limit` cells, some are returned, without light.
         """
         column = np.full(self._cells.side**3, -1)
         codes = np.zeros(0, np.int64)
@@ -239,7 +242,7 @@ class _Starts:
             yield first, projected, self._starts(along)
 
     def _starts(self, along: Array) -> Array:
-        """Places [B, N, 3] on the rays through the points, the next ones between the middles."""
+        """Points [B, N, 3] on the rays through the points, the nearest ones between the middles."""
         near, far = -np.inf, np.inf
         for axis in range(3):
             slope = np.where(np.abs(along[:, axis]) < 1e-9, 1e-9, along[:, axis])[:, None]
@@ -253,7 +256,7 @@ class _Starts:
 
 
 def _flat_points(opening: Opening, cell: float) -> tuple[Array, Array]:
-    """Points [N, 3] of a flat opening, each for an equal area, and what each is for [3]."""
+    """Points [N, 3] of a flat opening, each for an equal area, and the widths [3] of this area."""
     sides = np.array(opening.sides)
     order = sorted(range(3), key=lambda axis: (sides[axis] == 0, axis))
     counts = np.clip(np.ceil(_PER_CELL * sides / cell), 1, _MAX_SIDE).astype(int)

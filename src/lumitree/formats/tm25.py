@@ -34,28 +34,31 @@ Layout, little-endian; the numbers are the sections of the standard:
 Positions and directions have z up here.
 """
 
+import dataclasses
 import datetime
 import math
 import os
+from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.device import on_device
 from lumitree.core.files import write_bytes
 from lumitree.core.photometry import (
     LUMENS_PER_WATT,
+    WAVELENGTHS,
     luminance,
+    matching_functions,
+    sampled_spectrum,
     srgb_from_xyz,
     xyz_from_srgb,
     xyz_of_spectrum,
 )
 from lumitree.core.reading import read_bytes
 from lumitree.errors import LumitreeError, shown
-from lumitree.formats.photometric_text import date_of_writing, warn_of_file
-from lumitree.formats.ray_spectrum import rays_spectrum, spectrum_of_a_watt
-from lumitree.formats.rays import Rays
+from lumitree.formats.reading import date_of_writing, warn_of_file
 from lumitree.formats.type_c import y_up, z_up
 
 MAX_BYTES = 1 << 32
@@ -91,10 +94,44 @@ _COLUMNS = (
     ("tristimulus", 6, 2),
     ("table", 7, 1),
 )
+# Kinds of spectral data.
+_ONE_WAVELENGTH, _WAVELENGTHS, _ONE_TABLE, _TABLES = 1, 2, 3, 4
 _TABLE_ALIGNMENT, _NAME_BYTES = 32, 512
 _MAX_TABLES, _MAX_ADDITIONAL = 1000, 1000
 # Relative difference of fluxes that rounding may cause.
 _TOTAL_ERROR = 0.01
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Rays:
+    """Rays in the frame of a luminaire's file, y up.
+
+    Attributes:
+        origin: [N, 3] where each starts, m.
+        direction: [N, 3] unit direction of travel.
+        flux: [N, 3] radiant flux of R, G and B, W; the sum is the flux of the source.
+        spectrum: [471] power per nm of all rays together at `core.photometry.WAVELENGTHS`, in any
+            unit; None if it is not known.
+    """
+
+    origin: NDArray[np.float64]
+    direction: NDArray[np.float64]
+    flux: NDArray[np.float64]
+    spectrum: NDArray[np.float64] | None = None
+
+    def __len__(self) -> int:
+        return len(self.origin)
+
+    @staticmethod
+    def joined(parts: "Sequence[Rays]") -> "Rays":
+        """Rays of independent estimates of one source, whose mean is taken."""
+        if not parts:
+            return Rays(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)))
+        return Rays(
+            np.concatenate([part.origin for part in parts]),
+            np.concatenate([part.direction for part in parts]),
+            np.concatenate([part.flux for part in parts]) / len(parts),
+        )
 
 
 def write_tm25(path: str | os.PathLike[str], rays: Rays, name: str) -> None:
@@ -104,7 +141,6 @@ def write_tm25(path: str | os.PathLike[str], rays: Rays, name: str) -> None:
     vertex inside the luminaire, which need not be on one surface.
 
     Args:
-        rays: what is written.
         name: of the light source.
 
     Raises:
@@ -124,7 +160,7 @@ def write_tm25(path: str | os.PathLike[str], rays: Rays, name: str) -> None:
     ):
         text[: len(value)] = [ord(char) for char in value]
     xyz = LUMENS_PER_WATT * xyz_from_srgb(rays.flux)
-    # The same number up to rounding of the primaries.
+    # Equal up to rounding of the primaries.
     xyz[:, 1] = luminance(rays.flux)
     table = np.concatenate(
         [z_up(rays.origin) * _MM_PER_M, z_up(rays.direction), xyz[:, [1, 0, 2]]], axis=1
@@ -197,12 +233,12 @@ def _parse(content: bytes, path: str | os.PathLike[str]) -> tuple[Rays, str]:
 def _compare_totals(
     path: str | os.PathLike[str], stated: float, total: float, kind: str, unit: str
 ) -> None:
-    """Warn of a header whose flux is not the rays'; NaN and 0 stand for an unknown flux."""
+    """Warn of a header whose flux differs from the rays'; NaN and 0 stand for an unknown flux."""
     if math.isfinite(stated) and stated > 0 and abs(total - stated) > _TOTAL_ERROR * stated:
         warn_of_file(
             path,
             f"its header states a {kind} flux of {stated:g} {unit}, but its rays have {total:g} "
-            f"{unit}; that of the rays is used (give the flux that you know by lumens)",
+            f"{unit}; the flux of the rays is used (state a known flux by lumens)",
         )
 
 
@@ -233,7 +269,7 @@ def _tables(content: bytes, count: int) -> tuple[list[NDArray[np.float64]], int]
             raise LumitreeError(f"a spectral table has {length} entries")
         table = np.frombuffer(content, "<f4", 2 * length, offset + 4).reshape(length, 2)
         if not ((table > 0).any() and (table >= 0).all() and (table < 1e9).all()):
-            raise LumitreeError("a spectral table holds NaN or negative numbers")
+            raise LumitreeError("a spectral table has NaN or negative numbers")
         tables.append(table.astype(np.float64))
         offset += 4 + 8 * length
     return tables, offset + (_HEADER.itemsize - offset) % _TABLE_ALIGNMENT
@@ -250,18 +286,15 @@ def _flux(
     if "tristimulus" in items and "luminous" in items:
         x, z = items["tristimulus"].T
         xyz = np.stack([x, items["luminous"][:, 0], z], axis=1)
-    elif spectrum == 1:
+    elif spectrum == _ONE_WAVELENGTH:
         xyz = _line_colour(np.array([wavelength]))
-    elif spectrum == 2 and "wavelength" in items:
+    elif spectrum == _WAVELENGTHS and "wavelength" in items:
         xyz = _line_colour(items["wavelength"][:, 0])
-    elif spectrum == 3 and tables:
-        xyz = xyz_of_spectrum(spectrum_of_a_watt(tables[0]))[None]
-    elif spectrum == 4 and tables and "table" in items:
-        index = items["table"][:, 0]
-        if not ((index >= 1) & (index <= len(tables))).all():
-            raise LumitreeError(f"a ray names none of the {len(tables)} spectral tables")
-        spectra = [spectrum_of_a_watt(each) for each in tables]
-        xyz = xyz_of_spectrum(spectra)[index.astype(np.int64) - 1]
+    elif spectrum == _ONE_TABLE and tables:
+        xyz = xyz_of_spectrum(_spectrum_of_a_watt(tables[0]))[None]
+    elif spectrum == _TABLES and tables and "table" in items:
+        index = _table_indices(tables, items)
+        xyz = xyz_of_spectrum([_spectrum_of_a_watt(each) for each in tables])[index]
     if xyz is None:
         flux = items["luminous"] / LUMENS_PER_WATT if "luminous" in items else items["radiant"]
         return np.repeat(flux, 3, axis=1)
@@ -285,3 +318,88 @@ def _in_gamut(xyz: NDArray[np.float64]) -> NDArray[np.float64]:
     rgb = np.maximum(srgb_from_xyz(xyz), 0)
     y, kept = xyz[:, 1:2], luminance(rgb)[:, None] / LUMENS_PER_WATT
     return rgb * np.divide(y, kept, out=np.zeros_like(y), where=kept > 0)
+
+
+def rays_spectrum(
+    items: dict[str, NDArray[np.float64]],
+    tables: list[NDArray[np.float64]],
+    kind: int,
+    wavelength: float,
+) -> NDArray[np.float64] | None:
+    """Power per nm of all rays, in any unit.
+
+    Args:
+        items: columns of the rays, [N, 1]: "radiant" flux, "luminous" flux or both; and
+            "wavelength", nm, or "table", from 1 on.
+        tables: [n, 2] wavelengths, nm, and weights each.
+        kind: of spectral data, as in the header.
+        wavelength: of kind 1, nm.
+
+    Returns:
+        [471] at `WAVELENGTHS`; None if the file states no spectrum, or none that can be used. Its
+        colours may still be known from tristimulus values.
+    """
+    try:
+        if kind == _ONE_WAVELENGTH:
+            return sampled_spectrum([wavelength], [1])
+        if kind == _WAVELENGTHS and "wavelength" in items:
+            return _lines(items["wavelength"][:, 0], items)
+        if kind == _ONE_TABLE and tables:
+            return sampled_spectrum(*tables[0].T)
+        if kind == _TABLES and tables and "table" in items:
+            return _mixture(tables, items)
+    except LumitreeError:
+        return None
+    return None
+
+
+def _lines(
+    wavelength: NDArray[np.float64], items: dict[str, NDArray[np.float64]]
+) -> NDArray[np.float64]:
+    """Rays of one wavelength [N] each, divided between the wavelengths next to it."""
+    visible = (wavelength >= WAVELENGTHS[0]) & (wavelength <= WAVELENGTHS[-1])
+    place = np.where(visible, wavelength - WAVELENGTHS[0], 0)
+    efficacy = np.interp(wavelength, WAVELENGTHS, matching_functions()[1], left=0, right=0)
+    power = np.where(visible, _power(items, efficacy), 0)
+    lower = place.astype(np.int64)
+    size = len(WAVELENGTHS) + 1
+    parts = (lower, 1 - (place - lower)), (lower + 1, place - lower)
+    binned = sum(np.bincount(at, power * part, size) for at, part in parts)
+    return np.asarray(binned, np.float64)[:-1]
+
+
+def _mixture(
+    tables: list[NDArray[np.float64]], items: dict[str, NDArray[np.float64]]
+) -> NDArray[np.float64]:
+    """Rays with one of several tables each."""
+    index = _table_indices(tables, items)
+    spectra = np.array([_spectrum_of_a_watt(each) for each in tables])
+    power = _power(items, (spectra @ matching_functions()[1])[index])
+    return np.bincount(index, power, len(tables)) @ spectra
+
+
+def _table_indices(
+    tables: list[NDArray[np.float64]], items: dict[str, NDArray[np.float64]]
+) -> NDArray[np.int64]:
+    """Index [N] of the table of each ray."""
+    number = items["table"][:, 0]
+    if not ((number >= 1) & (number <= len(tables))).all():
+        raise LumitreeError(f"a ray names none of the {len(tables)} spectral tables")
+    return number.astype(np.int64) - 1
+
+
+def _power(items: dict[str, NDArray[np.float64]], efficacy: ArrayLike) -> NDArray[np.float64]:
+    """Radiant flux [N] of rays whose luminous efficacy [N] is known, relative."""
+    if "radiant" in items:
+        return items["radiant"][:, 0]
+    flux = items["luminous"][:, 0]
+    return np.divide(flux, efficacy, out=np.zeros_like(flux), where=np.asarray(efficacy) > 0)
+
+
+def _spectrum_of_a_watt(table: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Power per nm [471] at `WAVELENGTHS` of a spectral table; the watt has its invisible light.
+
+    The table is [n, 2] wavelengths, nm, and weights, linear between them; one entry is a line.
+    """
+    total = np.trapezoid(table[:, 1], table[:, 0]) if len(table) > 1 else table[0, 1]
+    return sampled_spectrum(*table.T, means=True) / max(float(total), 1e-300)

@@ -14,8 +14,8 @@
         EmissionAreas           rectangles or ellipses on the faces of the luminaire, m
 
 Other orders of elements, and IntensityData with horz and vert in place of IntData, are read, too.
-Of areas on one face the luminous opening is their bounding rectangle, of areas on several faces a
-box.
+The luminous opening is the bounding rectangle of areas on one face, and a box of areas on several
+faces.
 """
 
 import dataclasses
@@ -31,16 +31,25 @@ from lumitree.core.photometry import LUMA, RGB, sampled_spectrum, srgb_from_xyz,
 from lumitree.core.reading import read_bytes
 from lumitree.errors import LumitreeError, shown
 from lumitree.formats.opening import POINT, Opening
-from lumitree.formats.photometric_text import MAX_ANGLES, number, warn_of_file, warn_of_flux
-from lumitree.formats.symmetry import (
+from lumitree.formats.reading import (
+    MAX_ANGLES,
+    MAX_XML_BYTES,
+    number,
+    number_of,
+    parse_xml,
+    text_of,
+    warn_of_file,
+    warn_of_flux,
+    without_noise,
+)
+from lumitree.formats.type_c import (
+    IntensityDistribution,
     completed,
+    direction_of,
     on_grid,
     turned_of_type_b,
     type_a,
-    without_noise,
 )
-from lumitree.formats.type_c import IntensityDistribution, direction_of
-from lumitree.formats.xml_tree import MAX_BYTES, number_of, parse_xml, text_of
 
 KIND = "IES TM-33 file"
 Array = NDArray[np.float64]
@@ -65,9 +74,8 @@ _FACES: dict[str, tuple[tuple[str, int], tuple[str, int]]] = {
 def read_tm33(path: str | os.PathLike[str]) -> tuple[IntensityDistribution, RGB]:
     """Read a TM-33 file; photometry of Types A and B is converted to Type C.
 
-    Warns of what is read in another way than the file says: small negative intensities, tilt
-    factors, a luminous flux that the intensities do not have, stated or rated, and no emission
-    areas.
+    Warns of small negative intensities, tilt factors, a stated or rated luminous flux that the
+    intensities do not have, and missing emission areas.
 
     Returns:
         The intensities of all emitters together, and the colour of their spectra, linear RGB of
@@ -77,7 +85,7 @@ def read_tm33(path: str | os.PathLike[str]) -> tuple[IntensityDistribution, RGB]
         LumitreeError: the file is missing or damaged, or has no luminous intensities.
     """
     name = shown(path, 300)
-    content = read_bytes(path, f"an {KIND}", MAX_BYTES)
+    content = read_bytes(path, f"an {KIND}", MAX_XML_BYTES)
     root = parse_xml(content, name, f"an {KIND}")
     try:
         with np.errstate(all="ignore"):
@@ -119,9 +127,7 @@ class _Reader:
             raise LumitreeError(f"the metric is {shown(metric)!r}; expected Luminous")
         horizontal, vertical, values = _grid(table)
         scale = number_of(table, "Multiplier", 1.0) * self._factor(emitter, table)
-        intensity, least = without_noise(values * scale)
-        if least < 0:
-            self._warn(f"small negative intensities (down to {least:g} cd) count as 0")
+        intensity = without_noise(self._path, values * scale)
         convert = {"A": type_a, "B": _type_b, "C": completed}[self._type(table)]
         result = IntensityDistribution("", *convert(horizontal, vertical, intensity))
         stated = number_of(data, "LuminousFlux", 0.0)

@@ -1,4 +1,4 @@
-"""Independent batches of rays, and standard errors of what is computed from them (jackknife)."""
+"""Independent batches of rays, and standard errors of figures computed from them (jackknife)."""
 
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
@@ -18,12 +18,12 @@ BATCHES = 16
 class RayBatches:
     """Rays in `BATCHES` batches of equal size, drawn in pieces.
 
-    Iteration gives the batch of each piece, and its rays. The flux of the rays of a piece is an
-    estimate of all.
+    Iteration gives the batch of each piece, and its rays. The flux of the rays of each piece is an
+    estimate of the whole flux.
 
     Args:
         num_rays: number of samples, rounded up to equal pieces.
-        stream: function of a batch and of the index of a piece in it: the piece's random numbers.
+        stream: random numbers of a piece, by its batch and its index in the batch.
         pieces: pieces of each batch, which bound the memory of large ones.
 
     Attributes:
@@ -61,11 +61,11 @@ def jackknife(
     `figure` takes a mask [B] of the batches to use.
     """
     value = np.asarray(figure(np.ones(batches, bool)), np.float64)
-    without = [figure(np.arange(batches) != left_out) for left_out in range(batches)]
+    without = [figure(np.arange(batches) != each) for each in range(batches)]
     return value, jackknife_error(np.array(without))
 
 
 def jackknife_error(without: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Standard errors of figures from their values [B, ..] with each of B batches left out."""
+    """Standard errors of figures from their values [B, ..] without each of B batches."""
     count, deviation = len(without), without - without.mean(axis=0)
     return np.sqrt((count - 1) / count * (deviation**2).sum(axis=0))

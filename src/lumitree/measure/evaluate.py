@@ -4,10 +4,12 @@ import contextlib
 import dataclasses
 import math
 import time as clocks
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
 from lumitree.core.arguments import (
@@ -19,27 +21,32 @@ from lumitree.core.arguments import (
 )
 from lumitree.core.backend import in_turn, load_rgb
 from lumitree.core.files import FilePath, scratch_folder, write_bytes
+from lumitree.core.frames import LocalFrame
 from lumitree.core.images import image_settings
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
+from lumitree.core.progress import progress as progress_of
 from lumitree.core.results import ImageResult, Json, Stopwatch
-from lumitree.errors import LumitreeError
-from lumitree.lamp.dataset import MAX_VIEWS, Dataset
+from lumitree.errors import LumitreeError, shown
+from lumitree.lamp.dataset import MAX_VIEWS, Dataset, Frame, OpacityKind
 from lumitree.lamp.diagnosis import warn_of_faults
 from lumitree.lamp.source import dataset_folder
-from lumitree.measure.irradiance_check import check_irradiance_paths
+from lumitree.measure.irradiance import check_flux, check_irradiance_paths, evaluate_irradiance
 from lumitree.rendering.asset_cache import asset_of, open_asset
 from lumitree.rendering.asset_info import asset_json
 
 if TYPE_CHECKING:
     from lumitree.lamp.luminaire import Luminaire, LuminaireLike
+    from lumitree.measure.figures import SheetRow
+
+Predict = Callable[[Frame], tuple[NDArray[np.floating], NDArray[np.floating]]]
 
 # Light paths, and rays of the asset, of an evaluation's irradiance: a few seconds of processor time
 # for both, for a standard error of about 0.5 % of the mean of a face.
 IRRADIANCE_PATHS = 1 << 20
-# Processor time of the paths of all views, s, if neither samples nor a time is given, and the most
-# samples per pixel then. All else takes 10 to 15 s of processor time.
+# Processor time of the paths of all views, s, and most samples per pixel, if neither samples nor a
+# time is given. The rest of an evaluation takes 10 to 15 s of processor time.
 _PROCESSOR_SECONDS, _SAMPLES_PER_PIXEL = 8.0, 256
-# Samples per pixel of images by which the time of a sample is measured; the first compiles.
+# Samples per pixel of the images that the time of a sample is measured with; the first compiles.
 _MEASURED = (1, 1, 17)
 
 
@@ -53,10 +60,10 @@ class EvaluateResult(ImageResult):
             flux through a cube of three times the luminaire's size, baked over explicit;
             `irradiance_rms`: relative RMS error of the irradiance, mean over the cube's six faces;
             and `irradiance_rms_touching`: the same on a plane that touches the bounding box from
-            below. One whose reference is too noisy, or dark, is omitted.
-        max_radiance: L_max of the views, W/(m² sr), by which the metrics divide radiance; None if
-            there are no views, because the asset was compared with another one.
-        spp: paths per pixel of the views; None if there are no views.
+            below. A metric whose reference is too noisy, or dark, is omitted.
+        max_radiance: L_max of the views, W/(m² sr), by which the metrics divide radiance; None
+            without views: the asset was compared with another asset.
+        spp: paths per pixel of the views; None without views.
         views: metrics by name, of each view.
         asset: `Asset.info` as a dictionary, and file and size in bytes if the asset is a file.
         sheet: file of the contact sheet; None if none was written.
@@ -64,7 +71,7 @@ class EvaluateResult(ImageResult):
             `irradiance_ratio`; and `faces`: for each of "-x", "+x", "-y", "+y", "-z", "+z" and
             "touching" the mean illuminance `explicit_lux` and `baked_lux`, lx, their `ratio` and
             the relative `rms` error, with the standard errors `ratio_error` and `rms_error`; and
-            `flux` of a luminaire by two methods that share nothing, lm: by `light_paths`, and by
+            `flux` of a luminaire by two independent methods, lm: by `light_paths`, and by
             `camera_paths` that hit its emitters, with `light_paths_error` and
             `camera_paths_error`. None if the irradiance was not compared.
         irradiance_sheet: file of the irradiance in false colour; None if none was written.
@@ -82,11 +89,28 @@ class EvaluateResult(ImageResult):
     irradiance_png: bytes | None = dataclasses.field(default=None, repr=False)
 
 
+@dataclasses.dataclass(frozen=True)
+class Evaluation:
+    """Metrics of an asset on the views of a dataset.
+
+    Attributes:
+        max_radiance: L_max of the dataset's views, W/(m² sr).
+        metrics: means over the views, `flux_error`, and the gains over black, by name.
+        views: metrics of each view, with its `halton_index`.
+        rows: images for a contact sheet.
+    """
+
+    max_radiance: float
+    metrics: dict[str, float]
+    views: list[dict[str, Any]]
+    rows: "list[SheetRow]"
+
+
 @in_turn
 def evaluate(
     asset: Asset | FilePath,
     target: "Asset | LuminaireLike",
-    sheet: FilePath | None = None,
+    output: FilePath | None = None,
     *,
     views: int = 8,
     resolution: int = 192,
@@ -98,13 +122,13 @@ def evaluate(
 ) -> EvaluateResult:
     """Compare an asset with its luminaire: held-out views, and the irradiance around it.
 
-    The views show the radiance field of the asset. Of an asset without one they show its geometry,
-    rendered with as many paths per pixel, so that what differs is mostly the noise of both: more
-    paths give a higher PSNR.
+    The views show the radiance field of the asset; without a field its geometry, rendered with as
+    many paths per pixel, so that most of the difference is the noise of both: more paths give a
+    higher PSNR.
 
     The irradiance is compared on the six faces of a cube of three times the size of the bounding
-    box, and on a plane that touches the box from below. It is not compared for a dataset, whose
-    views hold no light paths. An asset that has a gain, because it was baked with `lumens` or
+    box, and on a plane that touches the box from below. It is not compared for a dataset, which has
+    no light paths. An asset that has a gain, because it was baked with `lumens` or
     `temperature`, is compared without it. With a photometric file, or another asset, only the
     irradiance is compared.
 
@@ -113,7 +137,7 @@ def evaluate(
         target: the luminaire, in any form that `bake` takes, of which views are rendered first; or
             the folder of a dataset, whose views are used; or a photometric file, ray file or
             asset with the same bounding box.
-        sheet: path of the PNG file of the contact sheet. The irradiance in false colour is written
+        output: path of the PNG file of the contact sheet. The irradiance in false colour is written
             beside it, as sheet-irradiance.png for sheet.png. Default: no file is written.
         views: number of rendered views, 1 to 100,000. It does not apply to a dataset, nor do
             the next three.
@@ -129,8 +153,8 @@ def evaluate(
         progress: function that is called with a `Progress` after each view; see `bake`.
 
     Returns:
-        The mean metrics (`metrics`), those of each view (`views`), the irradiance of each face
-        (`irradiance`), and the contact sheet as `png`: without views, the irradiance.
+        The mean metrics (`metrics`), the metrics of each view (`views`), the irradiance of each
+        face (`irradiance`), and the contact sheet as `png`: without views, the irradiance.
 
     Raises:
         LumitreeError: an argument is out of range; the asset or the luminaire cannot be read; or
@@ -138,9 +162,9 @@ def evaluate(
             are assets.
     """
     irradiance_sheet = None
-    if sheet is not None:
-        check_sheet_output(sheet)
-        irradiance_sheet = Path(sheet).with_stem(f"{Path(sheet).stem}-irradiance")
+    if output is not None:
+        check_sheet_output(output)
+        irradiance_sheet = Path(output).with_stem(f"{Path(output).stem}-irradiance")
         check_sheet_output(irradiance_sheet)
     check_count("views", views, 1, MAX_VIEWS)
     check_irradiance_paths(irradiance_paths)
@@ -149,16 +173,13 @@ def evaluate(
         check_range("time", time, 1e-3, 1e7)
     mi = load_rgb(variant)
     from lumitree.measure.figures import draw_irradiance, draw_sheet
-    from lumitree.measure.flux_check import check_flux
-    from lumitree.measure.irradiance import evaluate_irradiance
-    from lumitree.measure.view_errors import evaluate_views
 
     path = None if isinstance(asset, Asset) else asset
     baked = open_asset(asset)
     title = baked.luminaire if path is None else f"{baked.luminaire}, {path}"
     if (reference := asset_of(target)) is not None:
         with reporting(progress):
-            return compare_assets(baked, path, reference, irradiance_sheet, irradiance_paths)
+            return _compare_assets(baked, path, reference, irradiance_sheet, irradiance_paths)
     irradiance, irradiance_png, flux = None, None, {}
     watch = Stopwatch()
     with contextlib.ExitStack() as stack:
@@ -166,15 +187,14 @@ def evaluate(
         sizes = (views, resolution, spp)
         lamp, dataset = _references(cast(Any, target), baked, watch, stack, sizes, time)
         samples = dataset.manifest.spp
-        budget = {} if lamp is None else {"views": views, "resolution": resolution, "spp": samples}
-        if lamp is not None:
-            budget["irradiance_paths"] = irradiance_paths
+        budget: Json = {"views": views, "resolution": resolution, "spp": samples}
+        budget = {} if lamp is None else {**budget, "irradiance_paths": irradiance_paths}
         settings = image_settings("evaluate", asset=title, **budget, variant=mi.variant())
         with watch.stage("evaluate"):
             result = evaluate_views(baked.without_factors, dataset)
             png = draw_sheet(result.rows, result.max_radiance, title).png(settings)
-            if sheet is not None:
-                write_bytes(sheet, png)
+            if output is not None:
+                write_bytes(output, png)
         if lamp is not None and irradiance_paths > 0:
             with watch.stage("irradiance"):
                 irradiance = evaluate_irradiance(baked.without_factors, lamp, irradiance_paths)
@@ -188,7 +208,7 @@ def evaluate(
         spp=samples,
         views=result.views,
         asset=asset_json(baked, path),
-        sheet=None if sheet is None else Path(sheet),
+        sheet=None if output is None else Path(output),
         png=png,
         irradiance=None if irradiance is None else irradiance.report() | flux,
         irradiance_sheet=None if irradiance is None else irradiance_sheet,
@@ -205,13 +225,11 @@ def _references(
     sizes: tuple[int, int, int | None],
     time: float | None,
 ) -> tuple["Luminaire | None", Dataset]:
-    """The views of a dataset, or new ones of the luminaire, whose folder `stack` removes.
+    """The views of a dataset; or a luminaire and new views of it, whose folder `stack` removes.
 
-    `asset` has a box of the proportions of the luminaire's. `sizes`: number, resolution and samples
-    per pixel of new views.
+    `sizes`: number, resolution and samples per pixel of new views.
     """
     from lumitree.lamp.luminaire import load_luminaire
-    from lumitree.measure.view_errors import check_proportions
     from lumitree.trace.cameras import capture
 
     if (stored := dataset_folder(target)) is not None:
@@ -220,7 +238,7 @@ def _references(
     count, resolution, samples = sizes
     with watch.stage("references"):
         lamp = load_luminaire(target)
-        check_proportions(asset, lamp.frame, lamp.name)
+        _check_proportions(asset, lamp.frame, lamp.name)
         warn_of_faults(lamp)
         if samples is None or time is not None:
             # The geometry of the asset is rendered with as many paths.
@@ -238,7 +256,7 @@ def _references(
 
 
 def _samples_in(time: float | None, lamp: "Luminaire", resolution: int, pixels: int) -> int:
-    """Paths per pixel that a time allows, a power of two; `pixels` are of all images together."""
+    """Paths per pixel, a power of two, that a time allows for all `pixels` of all images."""
     from lumitree.core.frames import FIRST_TEST_INDEX, view_pose
     from lumitree.core.seeds import Purpose, SeedStream
     from lumitree.trace.cameras import Camera
@@ -253,43 +271,38 @@ def _samples_in(time: float | None, lamp: "Luminaire", resolution: int, pixels: 
         start = clock()
         Camera(lamp, resolution, samples).take(pose, SeedStream(Purpose.CAPTURE, FIRST_TEST_INDEX))
         spent.append(clock() - start)
-    # Without the time that each image takes, however many samples it has.
+    # The difference does not contain the constant time of an image.
     of_sample = (spent[2] - spent[1]) / (_MEASURED[2] - _MEASURED[1]) / resolution**2
     affordable = limit / max(of_sample * pixels, limit / most)
     return 1 << max(0, math.floor(math.log2(affordable)))
 
 
-def compare_assets(
+def _compare_assets(
     asset: Asset,
     path: FilePath | None,
     reference: Asset,
     sheet: Path | None,
     irradiance_paths: int,
 ) -> EvaluateResult:
-    """As `lumitree.evaluate`, with another asset: only the irradiance is compared.
-
-    Args:
-        sheet: file to write, with the irradiance in false colour.
+    """As `evaluate`, with another asset: only the irradiance is compared.
 
     Raises:
         LumitreeError: the bounding boxes have different sizes, or there are 0 paths.
     """
     from lumitree.measure.figures import draw_irradiance
-    from lumitree.measure.irradiance import evaluate_irradiance
 
     if irradiance_paths == 0:
         raise LumitreeError(
-            f"of {reference.luminaire} there are no views, and with 0 irradiance paths nothing is "
-            "compared; give more"
+            f"an asset such as {reference.luminaire} has no views, and with 0 irradiance paths "
+            "nothing is compared; give more"
         )
     # The irradiance is compared around one box.
     if not np.allclose(asset.frame.size, reference.frame.size, rtol=1e-3, atol=0):
         sizes = [" x ".join(f"{side:.4g}" for side in e.frame.size) for e in (asset, reference)]
         raise LumitreeError(
-            f"the asset of {asset.luminaire} has a bounding box of {sizes[0]}, and that of "
-            f"{reference.luminaire} to compare it with one of {sizes[1]}, around which the "
-            "irradiance cannot be compared; compare their far fields, by `lumitree photometry` of "
-            "each"
+            f"the assets of {asset.luminaire} and {reference.luminaire} have bounding boxes of "
+            f"{sizes[0]} and {sizes[1]}, around which the irradiance cannot be compared; compare "
+            "their far fields, by `lumitree photometry` of each"
         )
     title = asset.luminaire if path is None else f"{asset.luminaire}, {path}"
     settings = image_settings("evaluate", asset=title, irradiance_paths=irradiance_paths)
@@ -314,3 +327,71 @@ def compare_assets(
         irradiance_png=png,
         **watch.costs(),
     )
+
+
+def _check_proportions(asset: Asset, frame: LocalFrame, name: str) -> None:
+    """Refuse a luminaire whose bounding box has other proportions than an asset's."""
+    if np.abs(asset.frame.half_extents - frame.half_extents).max() > 1e-3:
+        raise LumitreeError(
+            f"the asset ({shown(asset.luminaire, 200)}) and {shown(name, 200)} have bounding "
+            "boxes of different proportions; evaluate an asset on its own luminaire"
+        )
+
+
+def evaluate_views(asset: Asset, dataset: Dataset) -> Evaluation:
+    """Compare an asset with every view of `dataset`.
+
+    The radiance field is compared; without a field the geometry, by as many paths a pixel as the
+    views have, and its `geometric` opacity; or else the light field.
+
+    Raises:
+        LumitreeError: the dataset shows a luminaire of other proportions, or nothing.
+    """
+    from lumitree.rendering.asset_images import geometry_camera
+    from lumitree.rendering.asset_views import baked_view
+
+    manifest = dataset.manifest
+    _check_proportions(asset, manifest.local_frame, manifest.luminaire)
+    if asset.num_leaves or asset.geometry is None:
+        return compare_views(lambda frame: baked_view(asset, manifest, frame), dataset)
+    camera = geometry_camera(asset, manifest.half_width, manifest.resolution)
+    samples = manifest.spp
+    return compare_views(
+        lambda frame: camera.take(frame.pose, samples, frame.halton_index, "view"),
+        dataset,
+        "geometric",
+    )
+
+
+def compare_views(
+    predict: Predict, dataset: Dataset, opacity_kind: OpacityKind = "straight_through"
+) -> Evaluation:
+    """Compare images with every view of `dataset`.
+
+    Args:
+        predict: returns radiance [H, W, 3] and opacity [H, W] of a view.
+        opacity_kind: the opacity that is compared. Default: the opacity of a field, by which the
+            renderer attenuates the light behind the luminaire.
+
+    Raises:
+        LumitreeError: the dataset shows nothing.
+    """
+    from lumitree.measure.figures import MAX_ROWS, SheetRow
+    from lumitree.measure.metrics import flux_error, gain_over_black, mean_metrics, view_metrics
+
+    # L_max of the views, not of the asset, so that all assets are compared on one scale.
+    max_radiance = dataset.max_radiance(dataset.views())
+    views, rows = [], []
+    with progress_of("evaluate", len(dataset.manifest.frames)) as advance:
+        for view in dataset.views():
+            radiance, opacity = predict(view.frame)
+            expected = view.opacity(opacity_kind)
+            metrics = view_metrics(radiance, view.radiance, opacity, expected, max_radiance)
+            views.append({"halton_index": view.frame.halton_index, **metrics})
+            name = f"view {view.frame.halton_index}"
+            rows.append(SheetRow(name, view.radiance, radiance, expected, opacity, metrics))
+            advance(1)
+    metrics = mean_metrics([row.metrics for row in rows])
+    metrics["flux_error"] = flux_error([row.baked for row in rows], [row.reference for row in rows])
+    metrics |= gain_over_black(metrics)
+    return Evaluation(max_radiance, metrics, views, rows[:MAX_ROWS])

@@ -1,16 +1,51 @@
-"""Contact sheets of an evaluation: views, and the irradiance in false colour."""
+"""Figures of this package: contact sheets of views and irradiance, plans, photometric reports.
 
+Contact sheets show views and irradiance of an evaluation. Plans show illuminance in false colours,
+with isolux lines and values. Reports have a polar and an isocandela plot, figures and near-field
+limits, as PDF or HTML.
+"""
+
+import base64
 import dataclasses
-from collections.abc import Mapping, Sequence
+import html
+import os
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.colors import LogNorm, Normalize
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from lumitree.core.drawing import OPACITY, ColourScale, Sheet, Tile, image_grid
+from lumitree.core.drawing import (
+    OPACITY,
+    ColourScale,
+    Sheet,
+    Tile,
+    image_grid,
+    pdf_file,
+    text_page,
+)
+from lumitree.core.files import write_bytes
 from lumitree.core.images import auto_exposure, tonemap
+from lumitree.errors import shown
+from lumitree.formats.type_c import Grid
 from lumitree.measure.irradiance import FACES, NUM_CUBE_FACES, IrradianceEvaluation
+from lumitree.measure.photometric_figures import (
+    NEAR_FIELD_HEADER,
+    PLANES,
+    UGR_HEADER,
+    PhotometricData,
+    figure_rows,
+    known_rows,
+    near_field_rows,
+    plane_curve,
+    ugr_rows,
+)
+from lumitree.measure.receivers import AreaFigures, Receivers
 
+# Most views of a contact sheet.
 MAX_ROWS = 6
 # Pixels of an image of a view, and of a face.
 _VIEW, _FACE = 320, 216
@@ -19,6 +54,45 @@ _ERROR = ColourScale(LogNorm(1e-4, 1, clip=True), "inferno", "|baked - reference
 _DIFFERENCE = ColourScale(Normalize(-0.2, 0.2, clip=True), "RdBu_r", "baked / explicit - 1")
 # Part of the patches that may be brighter than the scale: patches that rare paths reach are noisy.
 _CLIPPED = 0.002
+# Illuminance plans write values at the points of an area if there are no more of them.
+_MAX_VALUES = 300
+_WIDTH, _DPI = 7.0, 130  # inches and dots per inch of a PNG file of plans
+_PLAN_NOTE = (
+    "Illuminance in lux, with all reflections unless it says direct. U0 is the smallest over the "
+    "mean, Ud the smallest over the largest illuminance of the points. Seen with the normal "
+    "towards the viewer."
+)
+_COLOURS = {"C0-C180": "#1f4e9c", "C90-C270": "#c2410c"}
+_STYLE = """
+body { font: 15px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem;
+       color: #1c1917; background: #fff; }
+table { border-collapse: collapse; margin: 0.5rem 0 1.5rem; }
+td, th { padding: 0.2rem 1.2rem 0.2rem 0; text-align: left; border-bottom: 1px solid #e7e5e4;
+         font-weight: normal; }
+th { color: #57534e; }
+img { max-width: 100%; }
+p.note { color: #57534e; max-width: 45rem; }
+"""
+_NOTES = (
+    "C = 0 is towards +x of the luminaire's file and C is counter-clockwise seen from above; "
+    "gamma = 0 is straight down. Errors are standard errors.",
+    "Far field: distance from the centre of the luminous opening from which on the illuminance is "
+    "within 5 % of intensity / distance², in a cone of 5 degrees. At shorter distances a "
+    "photometric file is wrong by more; use the asset instead.",
+)
+_COLOUR_NOTE = (
+    "Colour rendering is computed from the spectrum of the bare emitters. Glass, shades and a gain "
+    "shift the colour by the distance that is stated; above about 0.003 the light that leaves "
+    "renders colours differently."
+)
+_UGR_TITLE = "UGR: five columns crosswise, five endwise"
+_UGR_NOTE = (
+    "Unified Glare Rating by CIE 117:1995 and CIE 190:2010, for a ceiling of equal luminaires, a "
+    "quarter of their height above the eye apart. Columns: reflectances of ceiling, walls and "
+    "floor in percent; rooms: sides across and along the line of sight in heights H. Only the "
+    "intensities from C = 0 to 90 degrees are used, and the luminous area is the opening's. "
+    "It says little of lamps that do not hang in rows."
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -94,19 +168,12 @@ def draw_irradiance(evaluation: IrradianceEvaluation, title: str) -> Sheet:
     rows: tuple[list[Tile], ...] = ([], [], [])
     for index, face in enumerate(FACES):
         scale = cube if index < NUM_CUBE_FACES else touching
-        tiles = (
-            Tile(scale(_seen(face, explicit[index])), f"mean {explicit[index].mean():,.4g} lx"),
-            Tile(
-                scale(_seen(face, baked[index])),
-                "ratio " + _number(error.ratio[index], error.ratio_error[index], ".3f"),
-            ),
-            Tile(
-                _DIFFERENCE(_seen(face, ratio[index]) - 1),
-                "RMS error " + _number(error.rms[index], error.rms_error[index], ".1%"),
-            ),
-        )
-        for row, tile in zip(rows, tiles, strict=True):
-            row.append(tile)
+        mean = f"mean {explicit[index].mean():,.4g} lx"
+        of_ratio = "ratio " + _number(error.ratio[index], error.ratio_error[index], ".3f")
+        of_rms = "RMS error " + _number(error.rms[index], error.rms_error[index], ".1%")
+        rows[0].append(Tile(scale(_seen(face, explicit[index])), mean))
+        rows[1].append(Tile(scale(_seen(face, baked[index])), of_ratio))
+        rows[2].append(Tile(_DIFFERENCE(_seen(face, ratio[index]) - 1), of_rms))
     return image_grid(
         rows,
         _FACE,
@@ -121,7 +188,6 @@ def draw_irradiance(evaluation: IrradianceEvaluation, title: str) -> Sheet:
 
 
 def _scale(lux: NDArray[np.float64], label: str) -> ColourScale:
-    """Colour scale of irradiance."""
     largest = float(np.quantile(lux, 1 - _CLIPPED)) or float(lux.max()) or 1.0
     return ColourScale(Normalize(0, largest, clip=True), "viridis", label)
 
@@ -142,7 +208,217 @@ def _seen(face: str, patches: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _number(value: float, error: float, form: str) -> str:
-    """A value and its standard error."""
     if not np.isfinite(value):
         return "not known"
     return f"{value:{form}}" + (f" ± {error:{form}}" if np.isfinite(error) else "")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Plan:
+    """An area of a plan.
+
+    Attributes:
+        area: its figures.
+        receivers: its points.
+        lux, error, direct: [N] illuminance, its standard error, and its direct part, lx.
+    """
+
+    area: AreaFigures
+    receivers: Receivers
+    lux: NDArray[np.float64]
+    error: NDArray[np.float64]
+    direct: NDArray[np.float64]
+
+    @property
+    def height(self) -> float:
+        """Inches in a PNG file."""
+        plane = self.receivers.plane
+        sides = np.ptp(self.receivers.flat(), axis=0) if plane is None else plane.extent
+        return float(np.clip(_WIDTH * 0.8 * sides[1] / max(sides[0], 1e-9), 1.5, 9)) + 0.9
+
+
+def plan_png(plans: Sequence[Plan], direct_only: bool) -> bytes:
+    """The plans of areas, one below the other, as a PNG file."""
+    heights = [plan.height for plan in plans]
+    figure = Sheet(figsize=(_WIDTH, sum(heights)), dpi=_DPI, layout="constrained")
+    axes = figure.subplots(len(plans), 1, squeeze=False, height_ratios=heights)[:, 0]
+    for each, plan in zip(axes, plans, strict=True):
+        _draw_plan(figure, each, plan, direct_only)
+    return figure.png()
+
+
+def plan_pdf(plans: Sequence[Plan], direct_only: bool) -> bytes:
+    """A page for each area with its plan and a table, as a PDF file."""
+    pages = []
+    for plan in plans:
+        title = f"Illuminance: {shown(plan.area.name, 60)}"
+        page = text_page(title, 0.36, [_plan_rows(plan)], [_PLAN_NOTE])
+        _draw_plan(page, page.add_axes((0.1, 0.42, 0.8, 0.48)), plan, direct_only)
+        pages.append(page)
+    return pdf_file(pages)
+
+
+def _draw_plan(figure: Figure, axes: Any, plan: Plan, direct_only: bool) -> None:
+    place, area, plane = plan.receivers.flat(), plan.area, plan.receivers.plane
+    kind = "direct illuminance" if direct_only else "illuminance"
+    axes.set_title(f"{shown(area.name, 60)}: {kind}, lx", fontsize=10, parse_math=False)
+    axes.set_aspect("equal")
+    right, up = (_axis_name(axis) for axis in plan.receivers.axes)
+    axes.set(xlabel=f"from the centre along {right}", ylabel=f"from the centre along {up}")
+    axes.set_facecolor("#a8a29e")
+    levels = MaxNLocator(10).tick_values(0, area.largest if area.largest > 0 else 1.0)
+    limits = {"vmin": 0, "vmax": levels[-1]}
+    if plane is None:
+        colours = axes.scatter(*place.T, c=plan.lux, s=12, **limits)
+    else:
+        half, grid = np.asarray(plane.extent) / 2, plan.lux.reshape(plane.shape)
+        sides = (-half[0], half[0], -half[1], half[1])
+        # Interpolation would spread values that are missing.
+        smooth = "nearest" if np.isnan(grid).any() else "bilinear"
+        colours = axes.imshow(grid, origin="lower", extent=sides, interpolation=smooth, **limits)
+        if min(plane.shape) > 1 and area.largest > area.smallest:
+            u, v = place.reshape(*plane.shape, 2).transpose(2, 0, 1)
+            lines = axes.contour(u, v, grid, levels=levels, colors="white", linewidths=1.0)
+            if area.count > _MAX_VALUES:
+                axes.clabel(lines, fontsize=7, fmt="%g")
+    if area.count <= _MAX_VALUES:
+        size = float(np.clip(90 / np.sqrt(area.count), 3.5, 7))
+        style = {"fontsize": size, "ha": "center", "va": "center"}
+        for (u, v), value in zip(place, plan.lux, strict=True):
+            if np.isfinite(value):
+                # Legible on the colour of the plan.
+                colour = "#111111" if value > 0.6 * area.largest else "#e7e5e4"
+                axes.text(u, v, f"{value:.3g}", color=colour, **style)
+    figure.colorbar(colours, ax=axes, shrink=0.8, label="lx")
+
+
+def _axis_name(axis: NDArray[np.float64]) -> str:
+    """A direction [3] of the scene: an axis, or three numbers."""
+    along = int(np.abs(axis).argmax())
+    if abs(axis[along]) > 1 - 1e-6:
+        return ("-" if axis[along] < 0 else "") + "xyz"[along]
+    return "({:.2g}, {:.2g}, {:.2g})".format(*axis)
+
+
+def _plan_rows(plan: Plan) -> list[tuple[str, str]]:
+    """Names and values of the figures of an area."""
+    area, direct, error = plan.area, plan.direct, plan.error
+    known = np.isfinite(direct)
+    mean = float(direct[known].mean()) if known.any() else np.nan
+    return [
+        ("points", f"{area.count:,}" + (f", {area.enclosed:,} in solids" if area.enclosed else "")),
+        ("mean", f"{area.mean:.4g} lx ± {area.mean_error:.2g}"),
+        ("smallest", f"{area.smallest:.4g} lx"),
+        ("largest", f"{area.largest:.4g} lx"),
+        ("uniformity U0", f"{area.uniformity:.3f}"),
+        ("diversity Ud", f"{area.diversity:.3f}"),
+        ("mean of the direct part", f"{mean:.4g} lx"),
+        ("largest standard error of a point", f"{max(error[known], default=np.nan):.2g} lx"),
+    ]
+
+
+def plots_png(data: PhotometricData) -> bytes:
+    """Polar plot and isocandela plot as a PNG file."""
+    figure = Sheet(figsize=(11.0, 4.6), dpi=110, layout="constrained")
+    _polar(figure.add_subplot(1, 2, 1, projection="polar"), data)
+    _isocandela(figure, figure.add_subplot(1, 2, 2), data)
+    return figure.png()
+
+
+def write_pdf(path: str | os.PathLike[str], data: PhotometricData) -> None:
+    """Write the report as a PDF file of A4 pages: one, or two with glare ratings."""
+    title = f"Photometric report: {shown(data.distribution.name)}"
+    near_field = [NEAR_FIELD_HEADER, *near_field_rows(data.near_field)]
+    page = text_page(title, 0.6, [_figure_rows(data), near_field], _notes(data))
+    _polar(page.add_axes((0.08, 0.65, 0.36, 0.245), projection="polar"), data)
+    _isocandela(page, page.add_axes((0.56, 0.66, 0.36, 0.225)), data)
+    pages = [page]
+    if data.ugr is not None:
+        pages.append(text_page(_UGR_TITLE, 0.92, [[UGR_HEADER, *ugr_rows(data.ugr)]], [_UGR_NOTE]))
+    write_bytes(path, pdf_file(pages))
+
+
+def write_html(path: str | os.PathLike[str], data: PhotometricData) -> None:
+    """Write the report as an HTML file that loads nothing."""
+    name = html.escape(shown(data.distribution.name))
+    image = base64.b64encode(plots_png(data)).decode()
+    notes = "\n".join(f'<p class="note">{html.escape(note)}</p>' for note in _notes(data))
+    ugr = ""
+    if data.ugr is not None:
+        table = _html_table(ugr_rows(data.ugr), UGR_HEADER)
+        ugr = f'<h2>{_UGR_TITLE}</h2>\n{table}\n<p class="note">{html.escape(_UGR_NOTE)}</p>'
+    text = f"""<!doctype html>
+<html lang="en">
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width">
+<title>Photometric report: {name}</title>
+<style>{_STYLE}</style>
+<h1>Photometric report: {name}</h1>
+<img alt="polar plot and isocandela plot" src="data:image/png;base64,{image}">
+<h2>Figures</h2>
+{_html_table(_figure_rows(data))}
+<h2>Far field</h2>
+{_html_table(near_field_rows(data.near_field), NEAR_FIELD_HEADER)}
+{ugr}
+{notes}
+</html>
+"""
+    write_bytes(path, text.encode())
+
+
+def _notes(data: PhotometricData) -> tuple[str, ...]:
+    return _NOTES if data.figures.emitted_colour is None else (*_NOTES, _COLOUR_NOTE)
+
+
+def _figure_rows(data: PhotometricData) -> list[tuple[str, str]]:
+    rows = figure_rows(data.figures, data.size.tolist(), data.step, data.num_rays, data.ugr)
+    return known_rows(rows)
+
+
+def _polar(axes: Any, data: PhotometricData) -> None:
+    """Intensity in two vertical planes, straight down at the bottom."""
+    grid = Grid(data.step)
+    for name, c in PLANES.items():
+        curve = plane_curve(grid, data.distribution.intensity, c)
+        angle = np.deg2rad(np.arange(len(curve) + 1) * data.step)
+        axes.plot(angle, np.append(curve, curve[0]), color=_COLOURS[name], label=name, lw=1.4)
+    axes.set_theta_zero_location("S")
+    axes.set_theta_direction(1)
+    # The side of C is on the right.
+    ticks = np.arange(0, 360, 30)
+    axes.set_xticks(np.deg2rad(ticks), [f"{min(tick, 360 - tick)}°" for tick in ticks])
+    axes.tick_params(labelsize=8)
+    axes.set_ylim(0, None)
+    axes.set_title("intensity, cd", fontsize=10, pad=16)
+    for x, text in ((0.0, "C180, C270"), (1.0, "C0, C90")):
+        axes.text(
+            x, -0.06, text, transform=axes.transAxes, fontsize=8, color="#57534e", ha="center"
+        )
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=2, fontsize=8, frameon=False)
+
+
+def _isocandela(figure: Figure, axes: Any, data: PhotometricData) -> None:
+    """Lines of equal intensity over C and γ."""
+    distribution = data.distribution
+    c = np.append(distribution.c, 360)
+    values = np.concatenate([distribution.intensity, distribution.intensity[:1]]).T
+    levels = MaxNLocator(10).tick_values(0, float(values.max()) or 1.0)
+    filled = axes.contourf(c, distribution.gamma, values, levels=levels, cmap="viridis")
+    axes.contour(c, distribution.gamma, values, levels=levels[1:-1], colors="white", linewidths=0.4)
+    axes.set_xticks(np.arange(0, 361, 90))
+    axes.set_yticks(np.arange(0, 181, 30))
+    axes.set_xlabel("C, degrees", fontsize=9)
+    axes.set_ylabel("gamma, degrees (0: down)", fontsize=9)
+    axes.tick_params(labelsize=8)
+    axes.set_title("isocandela plot, cd", fontsize=10)
+    bar = figure.colorbar(filled, ax=axes, ticks=levels[::2])
+    bar.ax.tick_params(labelsize=8)
+
+
+def _html_table(rows: Any, header: tuple[str, ...] | None = None) -> str:
+    def line(cells: tuple[str, ...], tag: Callable[[int], str]) -> str:
+        return "".join(f"<{tag(i)}>{html.escape(cell)}</{tag(i)}>" for i, cell in enumerate(cells))
+
+    lines = [] if header is None else [line(header, lambda _: "th")]
+    lines += [line(row, lambda i: "td" if i else "th") for row in rows]
+    return "<table>\n" + "\n".join(f"<tr>{each}</tr>" for each in lines) + "\n</table>"

@@ -99,7 +99,7 @@ def view_metrics(
     _same_shape(b_opacity, r_opacity, "opacity")
     if r_opacity.shape != r.shape[:2]:
         raise LumitreeError(
-            f"opacity has shape {r_opacity.shape}; expected {r.shape[:2]}, that of the radiance"
+            f"opacity has shape {r_opacity.shape}; expected {r.shape[:2]}, as the radiance"
         )
     if not (np.isfinite(max_radiance) and max_radiance > 0):
         raise LumitreeError(f"L_max is {max_radiance}; expected a positive radiance")
@@ -162,40 +162,13 @@ def gain_over_black(metrics: Mapping[str, float]) -> dict[str, float]:
     }
 
 
-def flux(images: Iterable[ArrayLike], half_width: float) -> float:
-    """Flux emitted in all directions, estimated from orthographic views of the whole luminaire.
-
-    The luminance of a view, integrated over its plane, is the intensity towards the camera, so
-
-        flux = 4 pi mean_views( mean_pixels(luminance) (2 half_width)² )
-
-    for view directions that are uniform on the sphere. A sphere of radius R with the radiance L
-    everywhere gives 4 pi² R² L.
-
-    Args:
-        images: [H, W, 3] radiance of each view, Rec. 709 primaries; read one by one.
-        half_width: half the side of each view, which is square; length units.
-
-    Returns:
-        Flux in radiance unit · sr · length unit², weighted by Rec. 709 luminance.
-
-    Raises:
-        LumitreeError: there is no view, a view is not [H, W, 3] or not finite, or the width is not
-            positive.
-    """
-    if not (np.isfinite(half_width) and half_width > 0):
-        raise LumitreeError(f"half_width is {half_width}; expected a positive length")
-    means = [_mean_luminance(_image(image, f"view {i}")) for i, image in enumerate(images)]
-    if not means:
-        raise LumitreeError("there are no views to estimate the flux from; expected at least one")
-    return float(4 * np.pi * np.mean(means) * (2 * half_width) ** 2)
-
-
 def flux_error(baked_images: Iterable[ArrayLike], reference_images: Iterable[ArrayLike]) -> float:
-    """Relative error |baked / reference - 1| of the total emitted flux, see `flux`.
+    """Relative error |baked / reference - 1| of the total emitted flux.
 
-    The width of the views cancels. Both arguments are the same views in the same order, so the
-    error that a finite number of views causes largely cancels too.
+    The luminance of an orthographic view, integrated over its plane, is the intensity towards the
+    camera, so the flux is proportional to the mean of the views' mean luminances, for directions
+    that are uniform on the sphere. Both arguments are the same views in the same order, so most of
+    the error that a finite number of views causes cancels.
 
     Args:
         baked_images: [H, W, 3] radiance of each view; read one by one.
@@ -309,7 +282,7 @@ def hdr_flip(
     if flip_evaluator is None:
         raise LumitreeError("HDR-FLIP needs the package flip-evaluator, which is not installed")
     r, b = (np.maximum(image / max_radiance, 0).astype(np.float32) for image in (reference, baked))
-    # Around what is black in both images the error is 0.
+    # The error is 0 where both images are black, and no filter reaches a lit pixel.
     lit = (r + b).any(axis=-1)
     part = _around(np.any(lit, axis=1)), _around(np.any(lit, axis=0))
     r, b = (np.ascontiguousarray(image[part]) for image in (r, b))
@@ -366,7 +339,7 @@ def _finite(value: ArrayLike, what: str) -> NDArray[np.floating]:
     array = np.asarray(value, np.float64)
     bad = int(array.size - np.isfinite(array).sum())
     if bad:
-        raise LumitreeError(f"{what} holds {bad} values that are NaN or infinite; render it again")
+        raise LumitreeError(f"{what} has {bad} values that are NaN or infinite; render it again")
     return array
 
 

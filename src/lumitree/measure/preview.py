@@ -118,7 +118,7 @@ class AssetPreviewResult(ImageResult):
 @in_turn
 def preview(
     luminaire: "Asset | LuminaireLike",
-    sheet: FilePath | None = None,
+    output: FilePath | None = None,
     *,
     resolution: int = 256,
     spp: int = 64,
@@ -137,7 +137,7 @@ def preview(
         luminaire: what to render: an asset, the path of a `.lumitree` file, of a photometric file
             or of a ray file; or a luminaire in any form that `bake` takes except the folder of a
             dataset.
-        sheet: path of the PNG file to write. Default: no file is written.
+        output: path of the PNG file to write. Default: no file is written.
         resolution: pixels per side of each view, 1 to 16,384.
         spp: paths per pixel, 1 to 1,048,576. It does not apply to an asset without
             geometry, whose pixels have 16 rays.
@@ -154,15 +154,15 @@ def preview(
         LumitreeError: an argument is out of range; the luminaire cannot be read; or the file cannot
             be written.
     """
-    if sheet is not None:
-        check_sheet_output(sheet)
+    if output is not None:
+        check_sheet_output(output)
     check_image_settings(resolution=resolution, spp=spp)
     mi = load_rgb(variant)
     if (asset := asset_of(luminaire)) is not None:
         if bounces:
             raise LumitreeError("an asset has no paths to count the bounces of; leave bounces out")
         with reporting(progress):
-            return _preview_asset(asset, sheet, resolution, spp)
+            return _preview_asset(asset, output, resolution, spp)
     from lumitree.lamp.luminaire import load_luminaire
     from lumitree.trace.flux import estimate_flux, missed_by_depth
 
@@ -193,7 +193,7 @@ def preview(
         faults=faults,
         bounces=missed,
         shapes=lamp.shapes,
-        sheet=None if sheet is None else Path(sheet),
+        sheet=None if output is None else Path(output),
         png=b"",
         **watch.costs(),
     )
@@ -206,8 +206,8 @@ def preview(
         variant=mi.variant(),
     )
     png = draw_preview(views, lamp.name, _facts(result)).png(settings)
-    if sheet is not None:
-        write_bytes(sheet, png)
+    if output is not None:
+        write_bytes(output, png)
     return dataclasses.replace(result, png=png)
 
 
@@ -301,12 +301,12 @@ class Preview:
         return max(round(math.log2(0.18 / float(np.median(lit)) / self.exposure)), _MIN_STOPS)
 
 
-def take_preview(luminaire: "Luminaire", resolution: int, samples_per_pixel: int) -> Preview:
+def take_preview(luminaire: "Luminaire", resolution: int, spp: int) -> Preview:
     """Render the six views, with `resolution` pixels per side."""
     from lumitree.rendering.studio import luminaire_photographs
     from lumitree.trace.cameras import Camera
 
-    camera = Camera(luminaire, resolution, samples_per_pixel)
+    camera = Camera(luminaire, resolution, spp)
     images: dict[str, ViewImages] = {}
     seconds = []
     poses = _poses(luminaire.bounding_radius)
@@ -317,15 +317,13 @@ def take_preview(luminaire: "Luminaire", resolution: int, samples_per_pixel: int
             seconds.append(time.perf_counter() - start)
             advance(1)
     # The first view is not counted, because its time includes compilation.
-    paths = resolution**2 * samples_per_pixel * (len(VIEWS) - 1)
+    paths = resolution**2 * spp * (len(VIEWS) - 1)
     preview = Preview(images, [], paths / sum(seconds[1:]))
-    photographs = luminaire_photographs(
-        luminaire, poses, resolution, samples_per_pixel, preview.exposure
-    )
+    photographs = luminaire_photographs(luminaire, poses, resolution, spp, preview.exposure)
     return dataclasses.replace(preview, photographs=photographs)
 
 
-def take_asset_preview(asset: Asset, resolution: int, samples_per_pixel: int) -> Preview:
+def take_asset_preview(asset: Asset, resolution: int, spp: int) -> Preview:
     """Render the six views of an asset, with the camera of its luminaire's preview.
 
     Both opacities are the one of `shown_images`. The camera's sphere contains the bounding box.
@@ -336,15 +334,13 @@ def take_asset_preview(asset: Asset, resolution: int, samples_per_pixel: int) ->
 
     radius = float(np.linalg.norm(asset.frame.half_extents))
     poses = _poses(radius)
-    shown = shown_images(asset, poses, radius, resolution, samples_per_pixel)
+    shown = shown_images(asset, poses, radius, resolution, spp)
     images = {
         name: ViewImages(radiance, opacity, opacity)
         for name, (radiance, opacity) in zip(VIEWS, shown, strict=True)
     }
     preview = Preview(images, [], 0.0)
-    photographs = asset_photographs(
-        asset, poses, radius, resolution, samples_per_pixel, preview.exposure
-    )
+    photographs = asset_photographs(asset, poses, radius, resolution, spp, preview.exposure)
     return dataclasses.replace(preview, photographs=photographs)
 
 

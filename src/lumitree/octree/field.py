@@ -1,32 +1,31 @@
 """A baked field on the device, and the exact integral of Eq. 3 along a ray.
 
+Shadows need less detail than images, and a traversal of fewer leaves takes less time. A cell does
+not transmit the transmittance of its mean density: thin parts hide less than the same density
+spread over the cell. So a cell of the coarse field gets the density with which it transmits as much
+light as its leaves do on average.
+
 Symbols
     tau, T      optical depth and transmittance so far
 """
 
 from __future__ import annotations
 
-import functools
-import threading
-import weakref
-from collections.abc import Callable
-from typing import Any
+import dataclasses
+from typing import TYPE_CHECKING, Protocol
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.device import on_device, parameter
-from lumitree.core.frames import towards_viewer
+from lumitree.core.device import on_device, parameter, shared
+from lumitree.core.frames import LocalFrame, towards_viewer
 from lumitree.core.harmonics import basis, num_coefficients
-from lumitree.core.transmittance import BLOCKED, transmittance
-from lumitree.octree.coarse import COARSE_DEPTH, coarsened
-from lumitree.octree.field_data import FieldData
+from lumitree.core.transmittance import BLOCKED, Law, transmittance
+from lumitree.octree.build import build_children, leaf_cells
 from lumitree.octree.traversal import Octree, Span
 
-# record(recorded, leaf, start, length, active[, emission]) -> recorded: see `Field.integrate`.
-Record = Callable[..., Any]
 # Coefficients that are loaded at once: gathers of single halves take three times as long.
 _PACKET = 8
 _LARGEST_HALF = float(np.finfo(np.float16).max)
@@ -47,8 +46,8 @@ class Field:
     def __init__(
         self, asset: FieldData, min_density: float = 0.0, max_opacity: float = 1.0
     ) -> None:
-        self.asset = asset
-        self._min_density, self._max_opacity = min_density, max_opacity
+        self._law: Law = asset.law
+        self._l_max = asset.l_max
         self._blocked = max(1.0 - max_opacity, 0.0 if asset.law == "linear" else BLOCKED)
         children = asset.children
         if min_density > 0:
@@ -63,13 +62,6 @@ class Field:
         self._max_radiance = parameter(mi.Color3f, *largest)
         self._coefficients = on_device(mi.UInt32, packets)
         dr.eval(self._density, self._coefficients)
-
-    @functools.cached_property
-    def coarse(self) -> Field:
-        """Field of few leaves whose transmittance is about the same (`octree.coarse`)."""
-        if self.asset.tree_depth <= COARSE_DEPTH:
-            return self
-        return Field(coarsened(self.asset, self._min_density), max_opacity=self._max_opacity)
 
     def emission(
         self,
@@ -89,8 +81,37 @@ class Field:
         Returns:
             Radiance in units of the luminaire's scene; and transmittance in [0, 1].
         """
-        radiance, through, _ = self.integrate(origin, direction, active, _nothing, (), span)
+        y = self._basis(direction)
+
+        def shade(state, leaf, start, length, active):
+            radiance, tau, through = state
+            tau, after = self._cross(tau, leaf, length, active)
+            weight = through - after
+            lit = active & (weight > 0)
+            emission = dr.select(lit, weight * self._leaf_emission(leaf, y, lit), 0)
+            return radiance + emission, tau, after
+
+        clear = mi.Float(0), mi.Float(1)
+        (_, through), (radiance, _, _) = self._octree.traverse_and_shade(
+            origin,
+            direction,
+            mi.Bool(active),
+            self._visit,
+            clear,
+            shade,
+            (mi.Color3f(0), *clear),
+            span,
+        )
         return radiance, through
+
+    def leaf_emission(
+        self, leaf: mi.UInt32, direction: mi.Vector3f, active: mi.Bool | bool = True
+    ) -> mi.Color3f:
+        """Φ of Eq. 6 for a leaf, seen along a direction of travel as for `emission`."""
+        return self._leaf_emission(leaf, self._basis(direction), active)
+
+    def _basis(self, direction):
+        return basis(*towards_viewer(direction), l_max=self._l_max)
 
     def eval_rays(
         self, origin: NDArray[np.floating], direction: NDArray[np.floating]
@@ -103,71 +124,6 @@ class Field:
         )
         dr.eval(radiance, through)
         return np.stack([np.array(channel) for channel in radiance], axis=-1), np.array(through)
-
-    def integrate(
-        self,
-        origin: mi.Point3f,
-        direction: mi.Vector3f,
-        active: mi.Bool | bool,
-        record: Record,
-        recorded: Any,
-        span: Span = None,
-    ) -> tuple[mi.Color3f, mi.Float, Any]:
-        """As `emission`, and calls a function for every leaf that the ray reaches.
-
-        Args:
-            record: takes the recorded state, a leaf, the distance at which the line enters it, the
-                length of the line in it, a mask and the leaf's contribution to the radiance;
-                returns the new state.
-            recorded: tuple of Dr.Jit arrays, the first state.
-
-        Returns:
-            Radiance, transmittance and what is recorded.
-        """
-        y = basis(*towards_viewer(direction), l_max=self.asset.l_max)
-
-        def shade(state, leaf, start, length, active):
-            radiance, tau, through, recorded = state
-            tau, after = self._cross(tau, leaf, length, active)
-            weight = through - after
-            lit = active & (weight > 0)
-            emission = dr.select(lit, weight * self._leaf_emission(leaf, y, lit), 0)
-            recorded = record(recorded, leaf, start, length, active, emission)
-            return radiance + emission, tau, after, recorded
-
-        clear = mi.Float(0), mi.Float(1)
-        (_, through), (radiance, _, _, recorded) = self._octree.traverse_and_shade(
-            origin,
-            direction,
-            mi.Bool(active),
-            self._visit,
-            clear,
-            shade,
-            (mi.Color3f(0), *clear, recorded),
-            span,
-        )
-        return radiance, through, recorded
-
-    def cross(
-        self,
-        origin: mi.Point3f,
-        direction: mi.Vector3f,
-        active: mi.Bool | bool,
-        record: Record,
-        recorded: Any,
-    ) -> Any:
-        """The recorded state of `integrate`, at a lower cost.
-
-        `record` is called without the contribution to the radiance.
-        """
-
-        def visit(state, leaf, start, length, active):
-            passed, recorded = state
-            passed, onwards = self._visit(passed, leaf, start, length, active)
-            return (passed, record(recorded, leaf, start, length, active)), onwards
-
-        state = ((mi.Float(0), mi.Float(1)), recorded)
-        return self._octree.traverse(origin, direction, mi.Bool(active), visit, state)[1]
 
     def transmittance(
         self,
@@ -188,11 +144,11 @@ class Field:
         """Optical depth and transmittance after a leaf."""
         density = dr.gather(mi.Float, self._density, leaf, active)
         tau = tau + dr.select(active, density * length, 0)
-        return tau, mi.Float(transmittance(tau, self.asset.law, dr))
+        return tau, mi.Float(transmittance(tau, self._law, dr))
 
     def _leaf_emission(self, leaf, y, active):
         """Φ of Eq. 6 for leaves [index], with the basis values `y` of the ray."""
-        count, packets = len(y), _width(self.asset.l_max) // _PACKET
+        count, packets = len(y), _width(self._l_max) // _PACKET
         flat = []
         for packet in range(packets):
             index = leaf * packets + packet
@@ -205,10 +161,6 @@ class Field:
                 total = dr.fma(flat[channel * count + k], y[k], total)
             channels.append(dr.rcp(1 + dr.exp(-total)))
         return self._max_radiance * mi.Color3f(*channels)
-
-
-def _nothing(recorded, *_):
-    return recorded
 
 
 def _width(l_max: int) -> int:
@@ -240,26 +192,169 @@ def _from_half(bits, unit):
     return dr.reinterpret_array(mi.Float, word) * unit
 
 
-_LOCK = threading.Lock()
-_SHARED: weakref.WeakKeyDictionary[FieldData, dict[str | None, weakref.ref[Field]]] = (
-    weakref.WeakKeyDictionary()
-)
-
-
 def shared_field(asset: FieldData) -> Field:
     """Field of an asset in the variant that is set; all users of an asset share one copy."""
-    key = mi.variant()
-    with _LOCK:
-        known = _SHARED.setdefault(asset, {}).get(key)
-    field = None if known is None else known()
-    if field is None:
-        # Mitsuba creates plugins in parallel, and a thread that waits for the device may create
-        # others meanwhile. So the lock is not held here; of two fields, the first is kept.
-        field = Field(asset)
-        with _LOCK:
-            known = _SHARED[asset].get(key)
-            other = None if known is None else known()
-            if other is not None:
-                return other
-            _SHARED[asset][key] = weakref.ref(field)
-    return field
+    return shared(asset, "field", lambda: Field(asset))
+
+
+class FieldData(Protocol):
+    """The data of a field, such as an `Asset`, which documents the members."""
+
+    @property
+    def children(self) -> NDArray[np.int32]: ...
+    @property
+    def density(self) -> NDArray[np.float32]: ...
+    @property
+    def coefficients(self) -> NDArray[np.float16]: ...
+    @property
+    def tree_depth(self) -> int: ...
+    @property
+    def l_max(self) -> int: ...
+    @property
+    def law(self) -> Law: ...
+    @property
+    def max_radiance(self) -> float: ...
+    @property
+    def light_factors(self) -> tuple[float, float, float]: ...
+    @property
+    def frame(self) -> LocalFrame: ...
+    @property
+    def num_leaves(self) -> int: ...
+    @property
+    def luminaire(self) -> str: ...
+
+
+if TYPE_CHECKING:
+    from lumitree.octree.field import FieldData
+
+# Depth of the coarse field, and levels below it whose detail is averaged.
+COARSE_DEPTH, _FINE_LEVELS = 5, 3
+# A cell transmits at least this part of the light, so that its density is finite.
+_LEAST = 1e-4
+# Halvings of the range of a density, and local units that no side is below.
+_BISECTIONS, _TINY = 40, 1e-9
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class CoarseField:
+    """Density alone, as `FieldData`: it emits nothing."""
+
+    children: NDArray[np.int32]
+    density: NDArray[np.float32]
+    frame: LocalFrame
+    luminaire: str
+    tree_depth: int = COARSE_DEPTH
+    law: Law = "exponential"
+    l_max: int = 0
+    max_radiance: float = 0.0
+    light_factors: tuple[float, float, float] = (1.0, 1.0, 1.0)
+
+    @property
+    def num_leaves(self) -> int:
+        """Number of leaves, M."""
+        return len(self.density)
+
+    @property
+    def coefficients(self) -> NDArray[np.float16]:
+        """float16 [M, 3, 1] of zeros."""
+        return np.zeros((self.num_leaves, 3, 1), np.float16)
+
+
+def coarsened(asset: FieldData) -> CoarseField:
+    """Field of depth `COARSE_DEPTH` with about the same mean transmittance.
+
+    A cell that has leaves of the given field gets the density with which it transmits as much light
+    along x, y and z together, by the area of the cell across each, as the leaves do on average. Of
+    a cell that a face of the bounding box divides the part inside counts, to which rays are
+    clipped. The law of the result is the exponential one, whatever the law of the given field.
+    """
+    cells, levels = leaf_cells(asset.children, asset.num_leaves)
+    density = asset.density.astype(np.float64)
+    resolution, side = 1 << _FINE_LEVELS, 2.0 / (1 << COARSE_DEPTH)
+    half = asset.frame.half_extents
+    # Leaves that are not below the coarse depth stay.
+    stay = levels <= COARSE_DEPTH
+    sides = _within(cells[stay], (2.0 / (1 << levels[stay]))[:, None], half)
+    kept = transmittance(density[stay, None] * sides, asset.law, np)
+    below = cells[~stay], levels[~stay] - COARSE_DEPTH, density[~stay]
+    parents, index = np.unique(below[0] >> below[1][:, None], axis=0, return_inverse=True)
+    grid = np.zeros((len(parents), resolution, resolution, resolution), np.float32)
+    for steps in np.unique(below[1]):
+        chosen = below[1] == steps
+        _fill(grid, index[chosen].ravel(), below[0][chosen], int(steps), below[2][chosen])
+    # Lengths [M, R, 3] of the grids' steps along each axis within the box.
+    fine = parents[:, None, :] * resolution + np.arange(resolution)[:, None]
+    steps = _within(fine, side / resolution, half)
+    lines = [_through(grid, steps, axis, asset.law) for axis in range(3)]
+    through = np.concatenate([kept, np.stack(lines, axis=-1)])
+    sides = np.concatenate([sides, steps.sum(axis=1)])
+    return CoarseField(
+        children=build_children(
+            np.concatenate([cells[stay], parents]),
+            np.concatenate([levels[stay], np.full(len(parents), COARSE_DEPTH)]),
+        ),
+        density=_density(through, sides).astype(np.float32),
+        frame=asset.frame,
+        luminaire=asset.luminaire,
+    )
+
+
+def _within(
+    cells: NDArray[np.int64], side: float | NDArray[np.float64], half_extents: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Sides [..., 3] of the parts of cells [..., 3] within the bounding box."""
+    lower = np.maximum(cells * side - 1, -half_extents)
+    upper = np.minimum((cells + 1) * side - 1, half_extents)
+    return np.maximum(upper - lower, 0)
+
+
+def _through(
+    grid: NDArray[np.float32], steps: NDArray[np.float64], axis: int, law: Law
+) -> NDArray[np.float64]:
+    """Mean transmittance [M] of the lines through each grid [M, R, R, R] along an axis.
+
+    `steps` [M, R, 3] has the lengths of the grid's steps along each axis.
+    """
+    lengths = [steps[..., each] for each in range(3)]
+    along = lengths.pop(axis)
+    depth = np.einsum("mabc,ma->mbc", np.moveaxis(grid, axis + 1, 1), along)
+    area = lengths[0][:, :, None] * lengths[1][:, None, :]
+    light = (transmittance(depth, law, np) * area).sum(axis=(1, 2))
+    return light / np.maximum(area.sum(axis=(1, 2)), _TINY)
+
+
+def _density(through: NDArray[np.float64], sides: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Density [M] of cells that transmit the parts `through` [M, 3] of the light along each axis.
+
+    It solves Σ_i A_i exp(-density · a_i) = Σ_i A_i t_i by bisection, with the side a_i and the area
+    across it A_i.
+    """
+    sides = np.maximum(sides, _TINY)
+    area = np.prod(sides, axis=1, keepdims=True) / sides
+    area /= area.sum(axis=1, keepdims=True)
+    light = np.maximum((area * through).sum(axis=1), _LEAST)
+    low, high = np.zeros(len(sides)), -np.log(_LEAST) / sides.min(axis=1)
+    for _ in range(_BISECTIONS):
+        middle = (low + high) / 2
+        is_more = (area * np.exp(-middle[:, None] * sides)).sum(axis=1) > light
+        low, high = np.where(is_more, middle, low), np.where(is_more, high, middle)
+    return low
+
+
+def _fill(
+    grid: NDArray[np.float32],
+    index: NDArray[np.int64],
+    cells: NDArray[np.int64],
+    steps: int,
+    density: NDArray[np.float64],
+) -> None:
+    """Add leaves that are `steps` levels below the coarse depth to the grids of their cells."""
+    if steps > _FINE_LEVELS:
+        finer = steps - _FINE_LEVELS
+        inner = cells >> finer & (1 << _FINE_LEVELS) - 1
+        np.add.at(grid, (index, *inner.T), density / 8.0**finer)
+        return
+    side, inner = 1 << (_FINE_LEVELS - steps), cells & ((1 << steps) - 1)
+    blocks = grid.reshape(len(grid), *(1 << steps, side) * 3)
+    x, y, z = inner.T
+    blocks[index, x, :, y, :, z, :] = density[:, None, None, None]

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.device import on_device, parameter
-from lumitree.octree.wide_nodes import LEAF, wide_levels, wide_nodes
+from lumitree.octree.build import LEAF, wide_levels, wide_nodes
 
 # visit(state, leaf, start, length, active) -> state, active; shade(state, leaf, start, length,
 # active) -> state: see `Octree.traverse`.

@@ -1,4 +1,4 @@
-"""Assets and their fields that are open: each is read once, and shared while anything uses it.
+"""Assets that are open: each is read once, and shared while anything uses it.
 
 Photometric files are assets once they are opened, so all that takes an asset takes them.
 """
@@ -8,7 +8,6 @@ import os
 import threading
 import weakref
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from lumitree.asset.asset import Asset
 from lumitree.asset.file import load as read_asset
@@ -23,9 +22,6 @@ from lumitree.lamp.source import (
     source_kind,
 )
 from lumitree.trace.light_field_config import LightFieldConfig
-
-if TYPE_CHECKING:
-    from lumitree.octree.field import Field
 
 # File names that stand for assets in memory.
 _IN_MEMORY = "lumitree-asset-in-memory-"
@@ -70,7 +66,7 @@ def open_asset(asset: Asset | str | os.PathLike[str]) -> Asset:
     key = (path, variant, stamp.st_mtime_ns, stamp.st_size, stamp.st_ino)
     found = _READ.get(key)
     if found is None:
-        # As in `shared_field`: of two threads that read a file the first's asset is kept.
+        # Of two threads that read a file the first's asset is kept.
         found = _read(asset)
         with _LOCK:
             found = _READ.setdefault(key, found)
@@ -82,7 +78,7 @@ def _read(path: str | os.PathLike[str]) -> Asset:
     if kind == "photometric":
         load_mitsuba()
         # Assets are read without Mitsuba.
-        from lumitree.formats.file_bakes import bake_file
+        from lumitree.formats.photometric_file import bake_file
 
         return bake_file(path, LightFieldConfig())
     name = os.fspath(path)
@@ -92,13 +88,6 @@ def _read(path: str | os.PathLike[str]) -> Asset:
             f"{shown(name, 300)} is {what}, not an asset; bake it first, into a .lumitree file"
         )
     return read_asset(path)
-
-
-def open_field(asset: Asset | str | os.PathLike[str]) -> "Field":
-    """The field of an asset on the device; the argument as for `open_asset`."""
-    from lumitree.octree.field import shared_field
-
-    return shared_field(open_asset(asset))
 
 
 @in_turn

@@ -1,13 +1,13 @@
 """The flux that an asset emits, and the gain that gives a lamp a luminous flux and a colour."""
 
 import dataclasses
-import weakref
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
 from lumitree.asset.light_field import LightField, unpack
+from lumitree.core.device import shared
 from lumitree.core.octahedral import middle_directions, solid_angles
 from lumitree.core.photometry import LUMENS_PER_WATT, blackbody_colour, luminance
 from lumitree.core.seeds import Purpose, SeedStream
@@ -17,9 +17,6 @@ from lumitree.trace.light_paths import as_rows
 
 # Rays that estimate the flux of a field, to about 0.1 to 0.5 %, in some tenths of a second.
 FIELD_RAYS = 1 << 20
-
-# By asset: intensity by bin, or flux of an asset without a light field.
-_INTENSITIES: weakref.WeakKeyDictionary[Asset, NDArray[np.float64]] = weakref.WeakKeyDictionary()
 
 
 def light_field_watts(field: LightField) -> NDArray[np.float64]:
@@ -52,13 +49,9 @@ def axis_intensities(asset: Asset, axes: NDArray[np.float64]) -> NDArray[np.floa
         axes: [3, 3], orthonormal, one a row, local frame.
     """
     if asset.light_field is None:
-        watts = _INTENSITIES.get(asset)
-        if watts is None:
-            watts = _INTENSITIES[asset] = asset_watts(asset) / asset.frame.scale**2
+        watts = shared(asset, "watts", lambda: asset_watts(asset) / asset.frame.scale**2)
         return np.full(6, luminance(watts) / (4 * np.pi))
-    intensity = _INTENSITIES.get(asset)
-    if intensity is None:
-        intensity = _INTENSITIES[asset] = intensity_by_bin(asset)
+    intensity = shared(asset, "intensity", lambda: intensity_by_bin(asset))
     resolution = asset.light_field.resolution
     cosine = middle_directions(resolution) @ axes.T
     squares = np.square(np.maximum(np.hstack([cosine, -cosine]), 0))
@@ -105,8 +98,8 @@ def gain_to(
 ) -> NDArray[np.float64]:
     """Factors [3] on R, G and B that give a lamp a luminous flux and a colour temperature.
 
-    The factor for a temperature is c(T) / c: c(T) is the colour of a black body in linear sRGB,
-    and c = watts / L that of the lamp's whole flux, both with luminance 1. So the luminous flux
+    The factor for a temperature is c(T) / c: c(T) is the colour of a black body in linear sRGB, and
+    c = watts / L the colour of the lamp's whole flux, both with luminance 1. So the luminous flux
     stays, and the whole flux has the chromaticity of the black body. It is a factor per channel;
     no chromatic adaptation is involved.
 

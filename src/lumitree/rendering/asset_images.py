@@ -1,4 +1,4 @@
-"""An asset as images show it, alone: its geometry, its field, or else its light field."""
+"""Images of an asset with nothing around it: its geometry, its field, or else its light field."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.rendering.asset_views import baked_image
 from lumitree.rendering.passes import Budget, render_passes
-from lumitree.rendering.plugins.register import shape
+from lumitree.rendering.register import shape
 from lumitree.trace.cameras import PATH_DEPTH
 
 # Equal settings give equal images: there is no option for the seed.
@@ -61,7 +61,7 @@ def shown_images(
     return images
 
 
-def scene_alone(asset: Asset) -> dict[str, Any]:
+def asset_scene(asset: Asset) -> dict[str, Any]:
     """Members of a scene, for `mi.load_dict`: the geometry of an asset, with nothing around it.
 
     No receiver gets the asset's light field there: one cell stands for it, whose tables take no
@@ -69,14 +69,14 @@ def scene_alone(asset: Asset) -> dict[str, Any]:
     """
     one_cell = make_light_field(np.zeros((1, 3), np.int64), np.ones((1, 16, 3)), depth=1)
     lit = light_field_asset(one_cell, asset.frame, asset.luminaire, asset.spectrum)
-    alone = dataclasses.replace(lit, geometry=asset.geometry, light_factors=asset.light_factors)
-    lamp = shape(alone, asset.frame.local_from_world, appearance="geometry")
+    shown = dataclasses.replace(lit, geometry=asset.geometry, light_factors=asset.light_factors)
+    lamp = shape(shown, asset.frame.local_from_world, appearance="geometry")
     return {"type": "scene", "lamp": lamp}
 
 
 def geometry_camera(asset: Asset, half_width: float, resolution: int) -> LampCamera:
     """A camera before the geometry of an asset."""
-    return LampCamera(scene_alone(asset), geometry_integrator(), half_width, resolution)
+    return LampCamera(asset_scene(asset), geometry_integrator(), half_width, resolution)
 
 
 def geometry_integrator() -> mi.Integrator:

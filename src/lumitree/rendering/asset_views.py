@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
 from lumitree.lamp.dataset import Frame, Manifest
-from lumitree.octree.field import shared_field
-from lumitree.rendering.sampling.divided_sampling import look
+from lumitree.rendering.device import DeviceAsset
 
 # Rays per pixel and side: 4 x 4 rays, stratified, with the box filter that capture uses.
 RAYS_A_SIDE = 4
@@ -32,9 +31,9 @@ def baked_image(
 
     Arguments, units and results as for `shown_images`.
     """
-    field = shared_field(asset)
+    device = DeviceAsset(asset)
     return image_of(
-        lambda origin, towards: look(asset, field, origin, towards, True, parallel=True),
+        lambda origin, towards: device.look(origin, towards, True, parallel=True),
         local_from_camera,
         half_width,
         resolution,

@@ -4,9 +4,9 @@ from typing import Any
 
 import mitsuba as mi
 
+from lumitree.rendering.objects import load_ordered
 from lumitree.rendering.placement import Placement
-from lumitree.rendering.plugins.objects import load_ordered
-from lumitree.rendering.plugins.register import register
+from lumitree.rendering.register import register
 
 LAMP_CENTRE = (0.0, 1.72, 0.0)
 LAMP_SIZE = 0.9

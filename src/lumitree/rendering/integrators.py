@@ -8,12 +8,12 @@ import mitsuba as mi
 
 from lumitree.errors import LumitreeWarning
 from lumitree.rendering.layers import records_layers
-from lumitree.rendering.plugins.register import register
+from lumitree.rendering.register import register
 
 # Classes of `volpath` and `volpathmis`, which take the transmittance of null surfaces for shadow
 # rays, and render media.
 _SEE_MEDIA = ("VolumetricPathIntegrator", "VolpathMisIntegratorImpl")
-# What becomes `lumitree_path`, or `volpath` where media are heterogeneous.
+# These become `lumitree_path`, or `volpath` where media are heterogeneous.
 _PATH_TRACERS = ("path", "lumitree_path")
 _DEFAULT_PATH_DEPTH = 16
 

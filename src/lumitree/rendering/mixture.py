@@ -27,8 +27,8 @@ class MixResult(SavedImage):
     Attributes:
         pixels: float32 [height, width, 3], linear radiance, W/(m² sr).
         settings: what made the image, as JSON text; the comment of the files.
-        exposure: factor on the radiance before the view transform of `png`; by default that of the
-            layers without gains.
+        exposure: factor on the radiance before the view transform of `png`; by default the
+            exposure of the layers without gains.
         layers: names of the layers.
         resolution: width and height in pixels.
         mean_radiance: mean over pixels and channels, W/(m² sr).
@@ -42,7 +42,7 @@ class MixResult(SavedImage):
 @in_turn
 def mix(
     layers: FilePath | Mapping[str, NDArray[np.float32]],
-    gains: Mapping[str, float | tuple[float, float, float]] | None = None,
+    gain: Mapping[str, float | tuple[float, float, float]] | None = None,
     *,
     view: View = "standard",
     exposure: float | None = None,
@@ -52,11 +52,11 @@ def mix(
     Args:
         layers: `RenderResult.layers`, arrays [height, width, 3] of linear radiance by name; or the
             path of a file that `RenderResult.save_layers` has written.
-        gains: by name of the layer, factors [3] on R, G and B of its light, or one number for all;
+        gain: by name of the layer, factors [3] on R, G and B of its light, or one number for all;
             0 to 10⁶. Default: 1.
         view: view transform of `png`, as for `render`.
-        exposure: factor on the radiance before it, 10⁻¹² to 10¹². Default: that of the layers
-            without gains.
+        exposure: factor on the radiance before it, 10⁻¹² to 10¹². Default: the exposure of the
+            layers without gains.
 
     Returns:
         The image as `pixels`, float32 [height, width, 3], linear radiance in W/(m² sr), and
@@ -68,7 +68,7 @@ def mix(
             OpenColorIO.
     """
     check_view(view, exposure)
-    factors = {name: check_gain(gain) for name, gain in (gains or {}).items()}
+    factors = {name: check_gain(each) for name, each in (gain or {}).items()}
     watch = Stopwatch()
     with watch.stage("mix"):
         if isinstance(layers, Mapping):
@@ -81,7 +81,7 @@ def mix(
         # Other files have other channels too, such as AOVs.
         if not alike or (file is not None and "RGB" in colours):
             raise LumitreeError(
-                f"{what} is not made of layers alone; expected channels NAME.R, NAME.G and NAME.B "
+                f"{what} is not made of layers only; expected channels NAME.R, NAME.G and NAME.B "
                 "of each, as `lumitree render --layers` writes them"
             )
         for name in factors.keys() - colours.keys():
@@ -102,10 +102,10 @@ def mix(
                 "gains; render them again, or use smaller gains"
             )
     if exposure is None:
-        # That of the image as it was rendered, so that a lamp that is dimmed looks dimmed.
+        # The exposure of the image as it was rendered, so that a dimmed lamp looks dimmed.
         exposure = room_exposure(np.stack(list(colours.values())).sum(axis=0, dtype=np.float64))
     settings = image_settings(
-        "mix", layers=file, gains=factors, view=view, exposure=exposure, rendered=rendered
+        "mix", layers=file, gain=factors, view=view, exposure=exposure, rendered=rendered
     )
     return MixResult(
         pixels=pixels,

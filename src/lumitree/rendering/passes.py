@@ -137,7 +137,7 @@ def _noise(sums: PassSums) -> float | None:
     known = np.isfinite(mean) & np.isfinite(squares)
     if not known.any():
         return None
-    # Of the pixels that are numbers.
+    # Share of the pixels of a block that are numbers.
     share = np.maximum(block_means(known.astype(np.float64), _BLOCK), 1e-300)
     variance = np.where(known, squares, 0) / (sums.passes - 1) / sums.samples
     variance, level = (
@@ -147,7 +147,7 @@ def _noise(sums: PassSums) -> float | None:
     if not lit.any():
         return 0.0
     error, level = np.sqrt(variance[lit]), level[lit]
-    # Neither the lamp itself nor what is nearly black decides.
+    # Neither the lamp itself nor nearly black blocks decide.
     weights = 1 / np.maximum(level, np.median(level))
     return float((weights * error).sum() / (weights * level).sum())
 
@@ -186,8 +186,8 @@ def render_passes(
     Args:
         so_far: called with the image so far after the first pass and then every two seconds or
             more, so that it takes no more than a tenth of the time.
-        renderer: what renders the passes. Default: `render_pass`, one after another.
-        saved: where the passes so far are kept, from which an interrupted call continues.
+        renderer: function that renders the passes. Default: `render_pass`, one after another.
+        saved: keeps the passes so far, from which an interrupted call continues.
     """
     pixels = int(dr.prod(scene.sensors()[0].film().crop_size()))
     plan = _Plan(budget, pixels, seed)

@@ -32,8 +32,8 @@ class Placement:
             scene in the `unit` of `render` or `illuminance`; 10⁻⁶ to 10⁹. For an asset only.
             Default: its own, at its `size`.
         temperature: colour temperature of its whole flux before `gain`, K; 1000 to 20,000. R, G and
-            B each get a factor, by which the colour in linear sRGB becomes that of a black body;
-            the luminous flux stays. For an asset only. Default: the colour of the asset.
+            B each get a factor, by which the colour in linear sRGB becomes a black body's; the
+            luminous flux stays. For an asset only. Default: the colour of the asset.
         label: name of this placement in layers; default: file name without ending, made unique by
             a number.
 

@@ -30,18 +30,18 @@ def holds_objects(shapes: Sequence[mi.Shape], boxes: NDArray[np.float64]) -> NDA
     Args:
         boxes: [N, 4, 4] transforms of [-1, 1]³ into the scene.
     """
-    holds = np.zeros(len(boxes), bool)
+    found = np.zeros(len(boxes), bool)
     if not len(boxes):
-        return holds
+        return found
     centres = boxes[:, :3, 3]
     reach = _INSIDE * np.abs(boxes[:, :3, :3]).sum(axis=2)
     for shape in shapes:
         lower, upper = (np.ravel(each) for each in (shape.bbox().min, shape.bbox().max))
-        near = ((centres - reach < upper) & (centres + reach > lower)).all(axis=1) & ~holds
+        near = ((centres - reach < upper) & (centres + reach > lower)).all(axis=1) & ~found
         if near.any():
             within = _in_boxes(shape, lower, upper)
-            holds[near] = [within(box) for box in boxes[near]]
-    return holds
+            found[near] = [within(box) for box in boxes[near]]
+    return found
 
 
 def _in_boxes(

@@ -3,18 +3,35 @@
 Error messages contain the name of the file and of the lamp.
 """
 
+import dataclasses
 import os
 from pathlib import Path
 from typing import Any
 
-from lumitree.core.arguments import MAX_GAIN, MAX_KELVIN, MAX_LUMENS, MIN_KELVIN, MIN_LUMENS
-from lumitree.core.frames import MAX_SCALE, MIN_SCALE
-from lumitree.core.toml_table import Table, dictionary, number, numbers, read_toml, text
-from lumitree.errors import LumitreeError, explained
+from lumitree.core.toml_file import converted, read_toml
+from lumitree.errors import LumitreeError, explained, shown
 from lumitree.lamp.builtin import BUILTIN
 from lumitree.rendering.placement import Placement
 
-_KIND = "a TOML file of placements"
+_Numbers3 = tuple[float, float, float]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Lamp:
+    """Types of the keys of a lamp; `Placement` checks their ranges."""
+
+    asset: str
+    at: _Numbers3 | None = None
+    size: float | None = None
+    rotate: tuple[float, float, float, float] | None = None
+    gain: float | _Numbers3 = 1.0
+    lumens: float | None = None
+    temperature: float | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class _File:
+    lamps: dict[str, Any] = dataclasses.field(default_factory=dict)
 
 
 @explained
@@ -35,40 +52,19 @@ def read_placements(path: str | os.PathLike[str]) -> list[Placement]:
         LumitreeError: the file is missing or not TOML, a key is unknown, or a value is wrong.
     """
     path = Path(path)
-    top = read_toml(path, _KIND)
-    lamps = top.take("lamps", dictionary("[lamps.NAME] tables")) or {}
-    top.finish()
+    lamps = converted(read_toml(path, "a TOML file of placements"), _File, path).lamps
     if not lamps:
-        top.fail("it has no lamps; expected a table [lamps.NAME] for each")
-    placements = []
-    for name in lamps:
-        table = Table(path, "lamps", lamps).table(name)
-        assert table is not None
-        placements.append(_placement(path, name, table))
-    return placements
-
-
-def _placement(path: Path, name: str, table: Table) -> Placement:
-    asset = table.take("asset", text)
-    values: dict[str, Any] = {
-        "at": table.take("at", numbers(3)),
-        "size": table.take("size", number(MIN_SCALE, MAX_SCALE)),
-        "rotate": table.take("rotate", numbers(4)),
-        "gain": table.take("gain", numbers(1, 3)),
-        "lumens": table.take("lumens", number(MIN_LUMENS, MAX_LUMENS)),
-        "temperature": table.take("temperature", number(MIN_KELVIN, MAX_KELVIN)),
-    }
-    table.finish()
-    if asset is None:
-        table.fail(
-            f"{table.name} has no asset; expected a .lumitree file, a photometric file "
-            "or a luminaire"
+        raise LumitreeError(
+            f"{shown(path, 300)} has no lamps; expected a table [lamps.NAME] for each"
         )
-    if any(not 0 <= factor <= MAX_GAIN for factor in values["gain"] or ()):
-        table.fail(f"{table.name}.gain has a factor that is not from 0 to {MAX_GAIN:,.0f}")
-    source = asset if asset in BUILTIN else str(path.parent / asset)
-    given = {key: value for key, value in values.items() if value is not None}
-    try:
-        return Placement(source, **given, label=name)
-    except LumitreeError as error:
-        table.fail(f"{table.name}: {error}")
+    placements = []
+    for label, values in lamps.items():
+        name = f"lamps.{shown(label)}"
+        lamp = converted(values, _Lamp, path, name)
+        source = lamp.asset if lamp.asset in BUILTIN else str(path.parent / lamp.asset)
+        given = {key: getattr(lamp, key) for key in values if key != "asset"}
+        try:
+            placements.append(Placement(source, **given, label=label))
+        except LumitreeError as error:
+            raise LumitreeError(f"{shown(path, 300)}: {name}: {error}") from None
+    return placements

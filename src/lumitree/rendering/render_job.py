@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from lumitree.rendering.placement import Placement
     from lumitree.rendering.saved_passes import SavedPasses
 
-# What to do if a worker is lost.
+# Advice for the case that a worker is lost.
 _CONTINUE = "the same call continues, or begins again without `work`"
 
 
@@ -33,7 +33,7 @@ class Described:
     Attributes:
         metres: in a unit of length of the scene.
         box_filter: whether each pixel is the mean of its own samples, as for `load_scene`.
-        by_lamp: whether the light of each lamp is recorded apart; None if nothing is recorded
+        by_lamp: whether the light of each lamp is recorded separately; None if nothing is recorded
             beside the image.
     """
 
@@ -45,7 +45,7 @@ class Described:
     by_lamp: bool | None
 
     def packed(self) -> bytes:
-        """It for `_received`, with absolute paths; refused if it cannot be pickled."""
+        """Bytes for `_received`, with absolute paths; refused if it cannot be pickled."""
         scene = absolute_source(self.scene)
         placements = [
             dataclasses.replace(each, source=absolute_source(each.source))
@@ -64,10 +64,10 @@ class RenderJob:
     def __init__(self, described: Described) -> None:
         import mitsuba as mi
 
-        from lumitree.rendering.camera_view import camera_view
         from lumitree.rendering.layers import Layers, records_layers
         from lumitree.rendering.scene import (
             appearance_for,
+            camera_view,
             load_scene,
             open_placements,
             place_luminaires,

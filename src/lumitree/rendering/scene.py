@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
 import os
 import warnings
 from collections.abc import Mapping, Sequence
@@ -20,17 +22,15 @@ from lumitree.lamp.media import any_heterogeneous
 from lumitree.lamp.scene_file import SceneFile
 from lumitree.lamp.scene_shapes import SceneShape, check_evaluates, reusable_shapes, shapes_of_scene
 from lumitree.lamp.source import LuminaireSource
-from lumitree.octree.field import Field
-from lumitree.rendering.asset_cache import open_asset, open_field
+from lumitree.rendering.asset_cache import open_asset
 from lumitree.rendering.asset_flux import asset_watts, gain_to
+from lumitree.rendering.emitter import Appearance, Sampling, shows_geometry
 from lumitree.rendering.integrators import integrator_for
 from lumitree.rendering.layers import records_layers
+from lumitree.rendering.objects import load_ordered
 from lumitree.rendering.placement import Placement
 from lumitree.rendering.placement_checks import holds_objects, warn_of_overlaps
-from lumitree.rendering.plugins.objects import load_ordered
-from lumitree.rendering.plugins.placed import Appearance, shows_geometry
-from lumitree.rendering.plugins.register import register, shape
-from lumitree.rendering.sampling.emitter_sampling import Sampling
+from lumitree.rendering.register import register, shape
 
 # `volpath` starts rays (1 + largest coordinate) * RayEpsilon from surfaces. Where that is this part
 # of a lamp's size, the irradiance 0.7 sizes below it is 1 % too high; at 3 times this part, 4 %.
@@ -50,12 +50,11 @@ class PlacedLuminaire:
         self, placement: Placement, source: Luminaire | Asset | None = None, metres: float = 1
     ) -> None:
         self.placement = placement
-        self.field: Field | None = None
+        self.asset: Asset | None = None
         self.luminaire: Luminaire | None = None
         source = _loaded(placement, metres) if source is None else source
         if isinstance(source, Asset):
-            # The field, not only the asset: the proxy's plugins then find it open.
-            self.field = open_field(source)
+            self.asset = source
         else:
             self.luminaire = source
         self.source, frame = source, source.frame
@@ -73,9 +72,8 @@ class PlacedLuminaire:
     def _gain(self, scale: float, metres: float) -> tuple[float, float, float]:
         """The gain of a lamp whose lengths in the scene are `scale` times its file's."""
         placement, gain = self.placement, np.array(check_gain(self.placement.gain))
-        if self.field is not None and (placement.lumens, placement.temperature) != (None, None):
-            asset = self.field.asset
-            assert isinstance(asset, Asset)
+        asset = self.asset
+        if asset is not None and (placement.lumens, placement.temperature) != (None, None):
             grown = 1.0 if asset.is_photometric else scale
             watts = asset_watts(asset) * (grown * metres) ** 2
             gain *= gain_to(watts, placement.lumens, placement.temperature, placement.name)
@@ -90,19 +88,18 @@ class PlacedLuminaire:
     @property
     def kind(self) -> object:
         """The lamp that is placed; equal for instances of one lamp."""
-        return self.placement.name if self.field is None else self.field.asset
+        return self.placement.name if self.asset is None else self.asset
 
     def is_shown_by_field(self, appearance: Appearance) -> bool:
         """Whether images show its radiance field."""
-        return self.field is not None and not shows_geometry(self.field.asset, appearance)
+        return self.asset is not None and not shows_geometry(self.asset, appearance)
 
     def shapes(self, sampling: Sampling, appearance: Appearance) -> dict[str, Any]:
         """Shapes for `mitsuba.load_dict`; arguments as for `place_luminaires`."""
         if self.luminaire is not None:
             return place_shapes(self.luminaire, self.scene_from_world)
-        assert self.field is not None
-        asset = cast(Any, self.field.asset)
-        return {"proxy": shape(asset, self.scene_from_world, sampling, self.gain, appearance)}
+        assert self.asset is not None
+        return {"proxy": shape(self.asset, self.scene_from_world, sampling, self.gain, appearance)}
 
 
 def _loaded(placement: Placement, metres: float) -> Luminaire | Asset:
@@ -281,7 +278,7 @@ def _check_rgb(film: mi.Film, title: str) -> None:
     )
 
 
-def load_room(source: Any) -> tuple[mi.Scene, Sequence[SceneShape]]:
+def load_without_camera(source: Any) -> tuple[mi.Scene, Sequence[SceneShape]]:
     """A scene, as of `load_scene`, but it needs no camera; and its shapes as the file has them."""
     scene, _, shapes = _open(source, scene_title(source))
     return scene, shapes_of_scene(scene, shapes)
@@ -363,7 +360,7 @@ def set_film_width(scene: mi.Scene, width: int) -> None:
 
 
 def _warn_rounded(luminaires: Sequence[PlacedLuminaire]) -> None:
-    """Tell once where coordinates of a scene are too coarse for luminaires."""
+    """Warn once where coordinates of a scene are too coarse for luminaires."""
     far: list[tuple[float, float, PlacedLuminaire]] = []
     for placed in luminaires:
         box = placed.scene_from_box
@@ -384,7 +381,7 @@ def _warn_rounded(luminaires: Sequence[PlacedLuminaire]) -> None:
 
 
 def _warn_far(placed: PlacedLuminaire) -> None:
-    """Tell where `volpath` cannot resolve a baked luminaire."""
+    """Warn where `volpath` cannot resolve a baked luminaire."""
     box, name = placed.scene_from_box, placed.placement.name
     size = 2 * np.linalg.norm(box[:3, :3], axis=0).max()
     coordinate = np.abs(box[:3, 3]).max()
@@ -400,7 +397,7 @@ def _warn_far(placed: PlacedLuminaire) -> None:
 
 
 def _warn_unlit_by_volpath(scene: mi.Scene, placed: PlacedLuminaire) -> None:
-    """Tell of objects in a lamp's box, which `volpath` does not light."""
+    """Warn of objects in a lamp's box, which `volpath` does not light."""
     if holds_objects(scene.shapes(), placed.scene_from_box[None])[0]:
         warnings.warn(
             f"{placed.title}: an object of the room is inside its box, where volpath does not "
@@ -411,27 +408,67 @@ def _warn_unlit_by_volpath(scene: mi.Scene, placed: PlacedLuminaire) -> None:
 
 
 def _warn_unlit(scene: mi.Scene, luminaires: Sequence[PlacedLuminaire], sampling: Sampling) -> None:
-    """Tell of baked luminaires that do not light what is in their boxes."""
-    lacking = []
+    """Warn of baked luminaires that do not light objects in their boxes."""
+    causes = {}
     for placed in luminaires:
-        asset = placed.field.asset if placed.field is not None else None
-        light_field = asset.light_field if isinstance(asset, Asset) else None
-        if asset is None:
-            continue
-        if light_field is None:
-            told = "is not lit: the asset has no light field; bake it with --parts light"
-        elif sampling == "uniform":
-            told = 'is not lit; use the sampling "emission"'
-        else:
-            continue
-        lacking.append((placed, told))
-    if not lacking:
+        asset = placed.asset
+        if isinstance(asset, Asset) and asset.light_field is None:
+            causes[placed] = "the asset has no light field; bake it with --parts light"
+        elif asset is not None and sampling == "uniform":
+            causes[placed] = 'use the sampling "emission"'
+    if not causes:
         return
-    boxes = np.stack([placed.scene_from_box for placed, _ in lacking])
-    for (placed, told), holds in zip(lacking, holds_objects(scene.shapes(), boxes), strict=True):
-        if holds:
+    boxes = np.stack([placed.scene_from_box for placed in causes])
+    inside = holds_objects(scene.shapes(), boxes)
+    for (placed, cause), has_objects in zip(causes.items(), inside, strict=True):
+        if has_objects:
             warnings.warn(
-                f"{placed.title}: an object of the room is inside its box, where it {told}",
+                f"{placed.title}: an object of the room is inside its box, where it is not lit: "
+                f"{cause}",
                 LumitreeWarning,
                 stacklevel=3,
             )
+
+
+@dataclasses.dataclass(frozen=True)
+class CameraView:
+    """View of a perspective camera.
+
+    Attributes:
+        origin: [3] its place, scene coordinates.
+        direction, up: [3] unit vectors, where it looks and what is up in the image.
+        horizontal, vertical: angles of view, degrees.
+    """
+
+    origin: tuple[float, float, float]
+    direction: tuple[float, float, float]
+    up: tuple[float, float, float]
+    horizontal: float
+    vertical: float
+
+
+def camera_view(sensor: mi.Sensor) -> CameraView | None:
+    """View of a perspective camera, with or without a lens; None for other cameras.
+
+    There is none either if the centre of the image is not on the camera's axis, because of a crop
+    window or of an offset of the principal point.
+    """
+    parameters, film = mi.traverse(sensor), sensor.film()
+    if "x_fov" not in parameters:
+        return None
+    size, crop, start = (
+        np.array(each, np.int64) for each in (film.size(), film.crop_size(), film.crop_offset())
+    )
+    shifts = [parameters[key] for key in parameters.keys() if key.startswith("principal_point")]  # noqa: SIM118
+    if np.abs(2 * start + crop - size).max() > 1 or np.any(shifts):
+        return None
+    matrix = np.array(sensor.world_transform().matrix, np.float64).reshape(4, 4)
+    # Half the width of the whole film at a distance of 1, and of the image that is its part.
+    half = math.tan(math.radians(float(np.ravel(parameters["x_fov"])[0]) / 2))
+    halves = half * crop / size[0]
+    horizontal, vertical = (2 * math.degrees(math.atan(each)) for each in halves)
+    axes = matrix[:3, :3] / np.linalg.norm(matrix[:3, :3], axis=0)
+    origin, direction, up = (
+        tuple(each.tolist()) for each in (matrix[:3, 3], axes[:, 2], axes[:, 1])
+    )
+    return CameraView(origin, direction, up, horizontal, vertical)

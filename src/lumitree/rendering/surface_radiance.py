@@ -12,7 +12,7 @@ from lumitree.asset.asset import Asset
 from lumitree.core.device import on_device, transforms_as_parameters
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
-from lumitree.rendering.asset_images import scene_alone
+from lumitree.rendering.asset_images import asset_scene
 from lumitree.trace.cameras import PATH_DEPTH
 from lumitree.trace.light_paths import seeded_sampler
 
@@ -49,7 +49,7 @@ def vertex_radiance(
         [V, 3], W/(m² sr), and [V], the variance of a path's mean of R, G and B; 0 for a vertex of
         no face.
     """
-    scene = mi.load_dict({**scene_alone(asset), **(lights or {})})
+    scene = mi.load_dict({**asset_scene(asset), **(lights or {})})
     transforms_as_parameters(scene.shapes())
     integrator: Any = mi.load_dict({"type": "lumitree_path", "max_depth": PATH_DEPTH})
     points = on_device(mi.Float, vertices)

@@ -20,8 +20,7 @@ from lumitree.asset.asset import Asset
 from lumitree.asset.light_field import LightField, unpack
 from lumitree.core.harmonics import MAX_L, Y_00, basis_array
 from lumitree.core.octahedral import middle_directions, solid_angles
-from lumitree.octree.build import build_children
-from lumitree.octree.leaves import grid_boxes_inside
+from lumitree.octree.build import build_children, grid_boxes_inside
 
 # Density of all leaves, per local unit. The longest ray, of 2 √3, loses 5 % of what is behind it.
 DENSITY = 2.0**-6

@@ -27,7 +27,7 @@ from lumitree.asset.field_file import (
 from lumitree.asset.light_field import LightField, unpack
 from lumitree.core.photometry import luminance
 from lumitree.errors import LumitreeError
-from lumitree.octree.wide_nodes import wide_levels, wide_nodes
+from lumitree.octree.build import wide_levels, wide_nodes
 from lumitree.rendering.studio import BACKDROP, OWN, SOFTBOX, portrait_half_width, softboxes
 from lumitree.viewer.light_as_field import DEFAULT_VIEW, brightest_view, light_as_field
 from lumitree.viewer.model import page_model

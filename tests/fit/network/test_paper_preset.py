@@ -8,7 +8,7 @@ import pytest
 from lumitree.fit.config import BakeConfig
 from lumitree.fit.network.step import EPSILON, learning_rate
 from lumitree.octree.extract import extract
-from lumitree.rendering.sampling.emitter_sampling import SAMPLING_KINDS
+from lumitree.rendering.emitter import SAMPLING_KINDS
 
 BAKE = BakeConfig.of("paper", "network").network
 CONFIG = BAKE.train

@@ -10,7 +10,7 @@ from test_bake import interrupt_after, small_config
 from lumitree.core.frames import similarity
 from lumitree.errors import LumitreeError
 from lumitree.fit.octree.config import HeldOutConfig
-from lumitree.octree.leaves import leaf_cells
+from lumitree.octree.build import leaf_cells
 from support.fields import leaf_field, make_asset
 from support.lamps import AREA, cube, sphere
 

@@ -122,7 +122,7 @@ def test_hull_holds_the_lamp_and_little_else(mi, dataset):
 @pytest.mark.slow
 def test_bake_from_views(mi, dataset, tmp_path):
     from lumitree.fit.octree.bake import bake_stored
-    from lumitree.measure.view_errors import evaluate_views
+    from lumitree.measure.evaluate import evaluate_views
 
     config = octree_config(tree_depth=6, rays=1 << 22, refine={"rays": 1 << 13})
     result = bake_stored(dataset, config, tmp_path)

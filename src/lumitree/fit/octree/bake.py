@@ -31,8 +31,7 @@ from lumitree.fit.octree.saved_state import StateFile
 from lumitree.fit.octree.stored import StoredRays
 from lumitree.lamp.dataset import Dataset
 from lumitree.lamp.luminaire import Luminaire
-from lumitree.octree.build import build_children
-from lumitree.octree.leaves import leaf_cells
+from lumitree.octree.build import build_children, leaf_cells
 
 # Part of the light above L_max from which images of the field show what makes up for it.
 _MUCH_BEYOND = 1 / 3

@@ -7,9 +7,9 @@ the file and the key.
 import dataclasses
 import math
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
 
@@ -22,16 +22,7 @@ from lumitree.core.photometry import (
     blackbody_colour,
     radiance_from_flux,
 )
-from lumitree.core.toml_table import (
-    Table,
-    UnexpectedError,
-    boolean,
-    dictionary,
-    is_number,
-    number,
-    read_toml,
-    text,
-)
+from lumitree.core.toml_file import Range, converted, read_toml
 from lumitree.errors import LumitreeError, LumitreeWarning, shown, shown_names
 from lumitree.lamp.importers.topology import count_solids
 from lumitree.lamp.meshes import Floats, Mesh, area_normals, join
@@ -52,11 +43,6 @@ from lumitree.lamp.parts import (
     select_names,
     transmits,
 )
-
-_T = TypeVar("_T")
-_MAX_EMISSION = 1e9
-# Points at which the opacity of a mesh is looked up, about.
-_POINTS = 1 << 18
 
 
 @dataclasses.dataclass(frozen=True)
@@ -343,146 +329,164 @@ def _radiance(model: Geometry, title: str, emission: Emission, file: str) -> RGB
     return radiance_from_flux(emission.lumens, area, emission.colour)
 
 
+# Points at which the opacity of a mesh is looked up, about.
+_POINTS = 1 << 18
+_MAX_EMISSION = 1e9
+_GREY: RGB = (0.5, 0.5, 0.5)
+_Share: TypeAlias = Annotated[float, Range(0, 1)]
+_Ior: TypeAlias = Annotated[float, Range(1, 4, above=True)]
+_Positive: TypeAlias = Annotated[float, Range(0, _MAX_EMISSION)]
+# R, G and B, or one number for all.
+_Factors: TypeAlias = _Share | tuple[_Share, _Share, _Share]
+_Radiance: TypeAlias = _Positive | tuple[_Positive, _Positive, _Positive]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Glass:
+    ior: _Ior = 1.5
+    roughness: _Share = 0.0
+    tint: _Factors = WHITE
+    thin: bool | None = None
+    absorption: _Radiance | None = None
+    scattering: _Radiance | None = None
+    anisotropy: Annotated[float, Range(-0.99, 0.99)] = 0.0
+
+
+@dataclasses.dataclass(frozen=True)
+class _Metal:
+    tint: _Factors = WHITE
+    roughness: _Share = 0.0
+    conductor: str = "none"
+
+
+@dataclasses.dataclass(frozen=True)
+class _Diffuse:
+    reflectance: _Factors = _GREY
+
+
+@dataclasses.dataclass(frozen=True)
+class _Principled:
+    base_color: _Factors = _GREY
+    metallic: _Share = 0.0
+    roughness: _Share = 0.5
+    ior: _Ior = 1.5
+    clearcoat: _Share = 0.0
+    transmission: _Share = 0.0
+    diffuse_transmission: Annotated[float, Range(0, 2)] = 0.0
+    thin: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
+class _Emitter:
+    radiance: _Radiance | None = None
+    lumens: Annotated[float, Range(0, _MAX_EMISSION, above=True)] | None = None
+    temperature: Annotated[float, Range(MIN_TEMPERATURE, MAX_TEMPERATURE)] | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class _Material:
+    glass: _Glass | None = None
+    metal: _Metal | None = None
+    diffuse: _Diffuse | None = None
+    principled: _Principled | None = None
+    emitter: _Emitter | None = None
+    opacity: _Share | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class _File:
+    units: str | Annotated[float, Range(1e-6, 1e6)] = 1.0
+    up: Literal["y", "z"] = "y"
+    variant: str | None = None
+    material: dict[str, Any] = dataclasses.field(default_factory=dict)
+
+
 def read_overrides(path: Path) -> Overrides:
     """Read a TOML file of overrides."""
-    top = read_toml(path, "a TOML file of overrides")
-    materials = top.take("material", dictionary("[material.NAME] tables")) or {}
-    named = Table(path, "material", materials)
-    result = Overrides(
-        file=str(path),
-        metres_per_unit=top.take("units", _units) or 1.0,
-        up=top.take("up", _up) or "y",
-        variant=top.take("variant", text),
-        materials={
-            name: change
-            for name in materials
-            if (change := _whole(named, name, _material)) is not None
-        },
-    )
-    top.finish()
-    return result
-
-
-def _whole(table: Table, key: str, read: Callable[[Table], _T]) -> _T | None:
-    """The result of reading a table within another; its unknown keys are refused."""
-    inner = table.table(key)
-    if inner is None:
-        return None
-    result = read(inner)
-    inner.finish()
-    return result
-
-
-def _material(table: Table) -> MaterialOverride:
-    readers = {"glass": _glass, "metal": _metal, "diffuse": _diffuse, "principled": _principled}
-    found = (_whole(table, key, read) for key, read in readers.items())
-    surfaces = [each for each in found if each is not None]
-    if len(surfaces) > 1:
-        table.fail(f"{table.name} has {len(surfaces)} surfaces; expected one")
-    surface, guess_thin = surfaces[0] if surfaces else (None, False)
-    emission = _whole(table, "emitter", _emission)
-    return MaterialOverride(surface, guess_thin, emission, table.take("opacity", number(0.0, 1.0)))
-
-
-def _glass(table: Table) -> tuple[Surface, bool]:
-    thin = table.take("thin", boolean)
-    glass = Glass(
-        ior=table.take("ior", number(1.0, 4.0, open_low=True)) or 1.5,
-        roughness=table.take("roughness", number(0.0, 1.0)) or 0.0,
-        tint=table.take("tint", _rgb(1.0)) or WHITE,
-        thin=bool(thin),
-    )
-    absorption = table.take("absorption", _rgb(_MAX_EMISSION))
-    scattering = table.take("scattering", _rgb(_MAX_EMISSION))
-    anisotropy = table.take("anisotropy", number(-0.99, 0.99)) or 0.0
-    solid_only = glass.roughness > 0 or absorption is not None or scattering is not None
-    if thin and solid_only:
-        table.fail(
-            f"{table.name} is thin; a thin sheet has no roughness, absorption or scattering: use "
-            "tint, or thin = false"
+    file = converted(read_toml(path, "a TOML file of overrides"), _File, path)
+    materials = {}
+    for name, values in file.material.items():
+        table = f"material.{shown(name)}"
+        material = converted(values, _Material, path, table)
+        try:
+            materials[name] = _override(material, table)
+        except LumitreeError as error:
+            raise LumitreeError(f"{shown(path, 300)}: {error}") from None
+    if isinstance(file.units, str) and file.units not in UNITS:
+        raise LumitreeError(
+            f"{shown(path, 300)}: units is {shown(file.units)!r}; expected one of "
+            f"{', '.join(UNITS)}, or the metres in a unit"
         )
-    extinction = [*(absorption or ()), *(scattering or ())]
-    if any(extinction):
-        black = (0.0, 0.0, 0.0)
-        medium = Medium(absorption or black, scattering or black, anisotropy)
+    return Overrides(
+        file=str(path),
+        metres_per_unit=UNITS[file.units] if isinstance(file.units, str) else file.units,
+        up=file.up,
+        variant=file.variant,
+        materials=materials,
+    )
+
+
+def _override(material: _Material, name: str) -> MaterialOverride:
+    surfaces = [
+        each
+        for each in (material.glass, material.metal, material.diffuse, material.principled)
+        if each is not None
+    ]
+    if len(surfaces) > 1:
+        raise LumitreeError(f"{name} has {len(surfaces)} surfaces; expected one")
+    emission = None
+    if material.emitter is not None:
+        emission = _emission(material.emitter, f"{name}.emitter")
+    surface, guess_thin = None, False
+    if surfaces:
+        surface, guess_thin = _surface(surfaces[0], name)
+    return MaterialOverride(surface, guess_thin, emission, material.opacity)
+
+
+def _surface(read: _Glass | _Metal | _Diffuse | _Principled, name: str) -> tuple[Surface, bool]:
+    """The surface, and whether the file leaves open whether it is thin."""
+    if isinstance(read, _Glass):
+        return _glass(read, f"{name}.glass")
+    if isinstance(read, _Metal):
+        if read.conductor not in CONDUCTORS:
+            raise LumitreeError(
+                f"{name}.metal.conductor is {shown(read.conductor)!r}; expected Ag, Al, Au, Cr, "
+                "Cu, W or another of Mitsuba's, or none"
+            )
+        return Metal(_rgb(read.tint), read.roughness, read.conductor), False
+    if isinstance(read, _Diffuse):
+        return Diffuse(_rgb(read.reflectance)), False
+    return Principled(**{**vars(read), "base_color": _rgb(read.base_color)}), False
+
+
+def _glass(read: _Glass, name: str) -> tuple[Surface, bool]:
+    solid = read.roughness > 0 or read.absorption is not None or read.scattering is not None
+    if read.thin and solid:
+        raise LumitreeError(
+            f"{name} is thin; a thin sheet has no roughness, absorption or scattering: use tint, "
+            "or thin = false"
+        )
+    glass = Glass(
+        ior=read.ior, roughness=read.roughness, tint=_rgb(read.tint), thin=bool(read.thin)
+    )
+    medium = Medium(_rgb(read.absorption or 0.0), _rgb(read.scattering or 0.0), read.anisotropy)
+    if any(medium.absorption + medium.scattering):
         glass = dataclasses.replace(glass, medium=medium)
-    return glass, thin is None and not solid_only
+    return glass, read.thin is None and not solid
 
 
-def _metal(table: Table) -> tuple[Surface, bool]:
-    metal = Metal(
-        tint=table.take("tint", _rgb(1.0)) or WHITE,
-        roughness=table.take("roughness", number(0.0, 1.0)) or 0.0,
-        conductor=table.take("conductor", _conductor) or "none",
-    )
-    return metal, False
-
-
-def _diffuse(table: Table) -> tuple[Surface, bool]:
-    return Diffuse(table.take("reflectance", _rgb(1.0)) or (0.5, 0.5, 0.5)), False
-
-
-def _principled(table: Table) -> tuple[Surface, bool]:
-    share = number(0.0, 1.0)
-    surface = Principled(
-        base_color=table.take("base_color", _rgb(1.0)) or (0.5, 0.5, 0.5),
-        metallic=table.take("metallic", share) or 0.0,
-        roughness=_or(table.take("roughness", share), 0.5),
-        ior=table.take("ior", number(1.0, 4.0, open_low=True)) or 1.5,
-        clearcoat=table.take("clearcoat", share) or 0.0,
-        transmission=table.take("transmission", share) or 0.0,
-        diffuse_transmission=table.take("diffuse_transmission", number(0.0, 2.0)) or 0.0,
-        thin=bool(table.take("thin", boolean)),
-    )
-    return surface, False
-
-
-def _emission(table: Table) -> Emission:
-    radiance = table.take("radiance", _rgb(_MAX_EMISSION))
-    lumens = table.take("lumens", number(0.0, _MAX_EMISSION, open_low=True))
-    temperature = table.take("temperature", number(MIN_TEMPERATURE, MAX_TEMPERATURE))
-    if (radiance is None) == (lumens is None):
-        table.fail(f"{table.name} needs either radiance or lumens")
-    colour = WHITE if temperature is None else blackbody_colour(temperature)
-    if radiance is None:
-        return Emission(None, lumens or 0.0, colour)
-    if temperature is not None and len(set(radiance)) > 1:
-        table.fail(f"{table.name} has a temperature, so its radiance has to be one number")
+def _emission(read: _Emitter, name: str) -> Emission:
+    if (read.radiance is None) == (read.lumens is None):
+        raise LumitreeError(f"{name} needs either radiance or lumens")
+    colour = WHITE if read.temperature is None else blackbody_colour(read.temperature)
+    if read.radiance is None:
+        return Emission(None, read.lumens or 0.0, colour)
+    radiance = _rgb(read.radiance)
+    if read.temperature is not None and len(set(radiance)) > 1:
+        raise LumitreeError(f"{name} has a temperature, so its radiance has to be one number")
     red, green, blue = (factor * channel for factor, channel in zip(radiance, colour, strict=True))
     return Emission((red, green, blue))
 
 
-def _or(value: float | None, default: float) -> float:
-    return default if value is None else value
-
-
-def _rgb(high: float) -> Callable[[Any], RGB]:
-    def read(value: Any) -> RGB:
-        channels = value if isinstance(value, list) else [value] * 3
-        if len(channels) != 3 or not all(
-            is_number(channel) and 0 <= channel <= high for channel in channels
-        ):
-            raise UnexpectedError(f"[R, G, B] or one number, each from 0 to {high:g}")
-        return (float(channels[0]), float(channels[1]), float(channels[2]))
-
-    return read
-
-
-def _units(value: Any) -> float:
-    if isinstance(value, str) and value in UNITS:
-        return UNITS[value]
-    if not is_number(value) or not 1e-6 <= value <= 1e6:
-        raise UnexpectedError(f"one of {', '.join(UNITS)}, or the metres in a unit")
-    return float(value)
-
-
-def _up(value: Any) -> Literal["y", "z"]:
-    if value not in ("y", "z"):
-        raise UnexpectedError("'y' or 'z'")
-    return value
-
-
-def _conductor(value: Any) -> str:
-    if not isinstance(value, str) or value not in CONDUCTORS:
-        raise UnexpectedError("Ag, Al, Au, Cr, Cu, W or another of Mitsuba's, or none")
-    return value
+def _rgb(value: float | tuple[float, float, float]) -> RGB:
+    return value if isinstance(value, tuple) else (value, value, value)

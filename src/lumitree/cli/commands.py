@@ -1,0 +1,692 @@
+"""The commands: each is a public function, with what differs on a command line.
+
+`Command.run` gets the arguments that were given. Without one, the function is called with them.
+`Command.show` prints the result.
+"""
+
+import contextlib
+import dataclasses
+import glob
+import json
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Group, Parameter
+
+from lumitree.cli.output import (
+    check_outputs,
+    image_report,
+    print_exported,
+    print_illuminance,
+    print_lamps,
+    print_list,
+    print_metrics,
+    print_open,
+    print_photometry,
+    print_preview,
+    print_report,
+    print_result,
+)
+from lumitree.cli.signatures import (
+    NEEDED,
+    Option,
+    convert,
+    described,
+    each_text,
+    lamps,
+    one,
+    options_of,
+    vector,
+)
+from lumitree.errors import LumitreeError, shown
+
+Given = dict[str, Any]
+_MAX_LIST_BYTES = 1 << 26
+# Interval at which a server looks whether it is to end, s.
+_LOOK_SECONDS = 0.2
+
+
+@dataclasses.dataclass(frozen=True)
+class Command:
+    """A command of the program.
+
+    Attributes:
+        function: name of the public function whose options it has; empty for none.
+        run: called with the arguments; returns a `Result`, or a dictionary for `--json`. All files
+            are written when it returns. Default: the function.
+        show: prints the result; called with it and the arguments. Default: prints its figures, and
+            its attribute `opens` as the file to open.
+        options: further options, and those that differ from the parameters of the function.
+        text: first sentence of the help. Default: of the docstring of the function.
+        opens: see `show`.
+    """
+
+    function: str = ""
+    run: Callable[[Given], Any] | None = None
+    show: Callable[[Any, Given], None] | None = None
+    options: Callable[[], Mapping[str, Option]] = dict
+    text: str = ""
+    opens: str = ""
+
+    def help(self) -> tuple[str, str]:
+        """First sentence and further text of the help."""
+        summary, text = described(self.function) if self.function else (self.text, "")
+        return self.text or summary, text
+
+    def all_options(self) -> dict[str, Option]:
+        """All options, by name."""
+        found = options_of(self.function) if self.function else {}
+        if found.keys() & {"luminaire", "source", "target"}:
+            found |= _READING
+        if self.function in ("bake", "capture", "render"):
+            found |= _WORKERS
+        return found | dict(self.options()) | {"json": _JSON}
+
+    def __call__(self, given: Given) -> Any:
+        return call(self.function, given) if self.run is None else self.run(given)
+
+    def print(self, result: Any, given: Given) -> None:
+        """Print the result."""
+        if self.show is not None:
+            self.show(result, given)
+        else:
+            print_result(result, getattr(result, self.opens) if self.opens else None)
+
+
+def _file(help: str, alias: str | tuple[str, ...] = (), default: Any = None) -> Option:
+    return Option(Annotated[Path | None, Parameter(converter=one(str), alias=alias)], help, default)
+
+
+def _text(help: str) -> Option:
+    """An option with a text that may begin with a hyphen, such as "-" for the terminal."""
+    return Option(Annotated[str, Parameter(allow_leading_hyphen=True)], help)
+
+
+def _patterns(help: str) -> Option:
+    return Option(list[str], help, None)
+
+
+_JSON = _file("Also write the results as JSON to this file.")
+_READING = {
+    "materials": _file(
+        "TOML file that overrides materials, unit and up axis of a model. Default: the .toml file "
+        "with the name of the model, if there is one."
+    ),
+    "keep": _patterns(
+        "Take only the shapes (.xml, by id, by the id of the BSDF, or by number such as #3) or "
+        "parts (models, by name or material) that match the pattern, with * and ?; may be "
+        "repeated. 'preview' lists them."
+    ),
+    "drop": _patterns("Leave the shapes or parts that match the pattern away; may be repeated."),
+}
+_WORKERS = {
+    "workers": Option(
+        int | None, "Number of processes that share the work. Default: this one.", None
+    ),
+    "scheduler": Option(
+        str | None,
+        "Address of a Dask scheduler whose workers share the work, such as "
+        "tcp://192.168.0.2:8786 (`pip install 'lumitree[cluster]'`).",
+        None,
+    ),
+}
+
+
+@contextlib.contextmanager
+def workers(given: Given) -> Iterator[Given]:
+    """Context with the arguments, with an `executor` in place of `workers` and `scheduler`."""
+    given = dict(given)
+    count, address = given.pop("workers", None), given.pop("scheduler", None)
+    if count is not None and address is not None:
+        raise LumitreeError("--workers and --scheduler are given; give one of them")
+    if count is not None:
+        from lumitree.core.executor import process_pool
+
+        with process_pool(count) as executor:
+            yield given | {"executor": executor}
+    elif address is not None:
+        from lumitree.core.executor import dask_executor
+
+        with dask_executor(address) as executor:
+            yield given | {"executor": executor}
+    else:
+        yield given
+
+
+def call(function: str, given: Given, *positional: Any) -> Any:
+    """Call a public function with arguments of a command line."""
+    import lumitree
+    from lumitree.lamp.source import LuminaireSource
+
+    given = dict(given)
+    given.pop("json", None)
+    reading = {name: given.pop(name) for name in _READING if name in given}
+    for name in ("source", "luminaire", "target"):
+        if name in given and isinstance(given[name], str):
+            given[name] = LuminaireSource(given[name], **reading)
+    with workers(given) as arguments:
+        return getattr(lumitree, function)(*positional, **arguments)
+
+
+@dataclasses.dataclass(frozen=True)
+class Grouped:
+    """Options that follow another one and belong to it, as those of a lamp follow `--place`.
+
+    Attributes:
+        kind: public dataclass whose fields they are.
+        field: the field that begins a group.
+        without: fields that are no options.
+    """
+
+    kind: str
+    field: str
+
+    def options(self, begin: str) -> dict[str, Option]:
+        """The option that begins a group, and those of its other fields, for the help."""
+        found = {}
+        for name, each in options_of(self.kind).items():
+            settings, kind = Parameter(group=Group(f"Of each --{begin}")), each.type
+            if name == self.field:
+                complete = lamps if name == "source" else None
+                kind = Annotated[list[Path], Parameter(converter=each_text, completer=complete)]
+            found[begin if name == self.field else name] = Option(
+                Annotated[kind, settings], each.help
+            )
+        return found
+
+    def read(self, text: str) -> Any:
+        """The object of a group, which `join_groups` has written as one text."""
+        import lumitree
+
+        options, values = options_of(self.kind), json.loads(text)
+        for name in values:
+            if name not in options:
+                raise LumitreeError(
+                    f"--{name} is given for {shown(next(iter(values.values())))}, a "
+                    f"{self.kind.lower()}, which has none"
+                )
+        return getattr(lumitree, self.kind)(
+            **{name: convert(name, options[name], value) for name, value in values.items()}
+        )
+
+
+PLACES = {"place": Grouped("Placement", "source")}
+AREAS = {"plane": Grouped("Plane", "centre"), "surface": Grouped("Surface", "shape")}
+
+
+def join_groups(command: str, arguments: Sequence[str]) -> list[str]:
+    """Arguments with each group as one: `--place a --at 1,2,3` is `--place '{"source": "a", ...}'`.
+
+    cyclopts has no options that depend on their order.
+    """
+    joined: list[str] = []
+    groups = {"render": (PLACES,), "illuminance": (PLACES, AREAS)}.get(command, ())
+    latest: dict[str, tuple[str, int]] = {}
+    begins = {name: (kind, each) for kind in groups for name, each in kind.items()}
+    members = {
+        name: tuple(kind) for kind in groups for each in kind.values()
+        for name in options_of(each.kind) if name != each.field
+    }  # fmt: skip
+    rest = iter(arguments)
+    for argument in rest:
+        name, equals, value = argument.removeprefix("--").partition("=")
+        if not argument.startswith("--") or name not in begins.keys() | members.keys():
+            joined.append(argument)
+            continue
+        value = value if equals else next(rest, None)
+        if value is None:
+            raise LumitreeError(f"--{name} needs a value; see 'lumitree {command} --help'")
+        if name in begins:
+            kind, each = begins[name]
+            for other in kind:
+                latest[other] = name, len(joined) + 1
+            joined += [f"--{name}", json.dumps({each.field: value})]
+            continue
+        if members[name][0] not in latest:
+            expected = " or ".join(f"--{each}" for each in members[name])
+            raise LumitreeError(f"--{name} comes before any {expected}")
+        _, place = latest[members[name][0]]
+        group = json.loads(joined[place])
+        if name in group:
+            first = next(iter(group.values()))
+            raise LumitreeError(f"--{name} is given twice for {shown(first)}")
+        joined[place] = json.dumps(group | {name: value})
+    return joined
+
+
+def _places(given: Given) -> list[Any]:
+    """The placements of `--placements` and `--place`, which it takes from the arguments."""
+    import lumitree
+
+    file = given.pop("placements", None)
+    listed = [] if file is None else lumitree.read_placements(file)
+    return listed + [PLACES["place"].read(each) for each in given.pop("place", ())]
+
+
+def _placed() -> dict[str, Option]:
+    file = _file(
+        "TOML file with a table [lamps.NAME] for each lamp; its lamps come before those of --place."
+    )
+    return {"placements": file, **PLACES["place"].options("place")}
+
+
+def _bake(given: Given) -> Any:
+    from lumitree.cli.config_file import read_config, write_config
+    from lumitree.fit.config import chosen_config
+
+    given = dict(given)
+    names = given.pop("source", ())
+    if (written := given.get("write_config")) is not None:
+        return write_config(written, given.get("quality"), given.get("method"))
+    output = given.get("output")
+    if not names or output is None:
+        missing = "--output" if names else "SOURCE"
+        raise LumitreeError(f"{missing} is needed; see 'lumitree bake --help'")
+    task = given.pop("task", None)
+    if (file := given.pop("config", None)) is not None:
+        given["config"], further = read_config(
+            file, given.pop("quality", None), given.pop("method", None)
+        )
+        given = further | given
+    sources = [luminaire(name, given) for name in listed(names)]
+    for name in _READING:
+        given.pop(name, None)
+    if len(sources) == 1 and not output.endswith(("/", os.sep)):
+        (source,) = sources
+        for extra, name in ((task, "--task"), (source.title, f"{shown(source.title)}=")):
+            if extra is not None:
+                raise LumitreeError(
+                    f"{name}: for several luminaires; leave it out, or give a folder with / at its "
+                    "end after -o"
+                )
+        return call("bake", given, source)
+    if output.endswith(".lumitree"):
+        raise LumitreeError(
+            f"{shown(output, 300)} is the name of one asset, but there are {len(sources)} "
+            "luminaires; give a folder"
+        )
+    if "work" in given:
+        raise LumitreeError("work: for one luminaire at a time; leave it out")
+    of_call = {
+        name: given.pop(name) for name in ("variant", "workers", "scheduler") if name in given
+    }
+    del given["output"]
+    given.pop("json", None)
+    config = chosen_config(given.pop("config", None), **given)
+    return call("bake_many", of_call | {"task": task}, sources, output, config)
+
+
+def luminaire(text: str, given: Given) -> Any:
+    """The `LuminaireSource` of LUMINAIRE or NAME=LUMINAIRE; a file may have such a name."""
+    from lumitree.lamp.source import LuminaireSource
+
+    reading = {name: given[name] for name in _READING if name in given}
+    title, equals, name = text.partition("=")
+    if not (title and equals and name) or os.path.exists(text) or os.path.basename(title) != title:
+        return LuminaireSource(text, **reading)
+    return LuminaireSource(name, **reading, title=title)
+
+
+def listed(names: Iterable[str]) -> list[str]:
+    """The names, with those that the file of a name @FILE lists in its place."""
+    from lumitree.core.file_kinds import in_utf8
+    from lumitree.core.reading import read_bytes
+
+    found: list[str] = []
+    for name in names:
+        if not name.startswith("@"):
+            # Where the shell leaves patterns such as *.ies to the program.
+            expands = os.name == "nt" and glob.has_magic(name) and not os.path.exists(name)
+            found += (sorted(glob.glob(name)) if expands else []) or [name]
+            continue
+        content = in_utf8(read_bytes(name[1:], "a list of luminaires", _MAX_LIST_BYTES))
+        # Names of files may be bytes of any kind.
+        text = content.decode("utf-8", "surrogateescape")
+        found += [line.strip() for line in text.split("\n") if line.strip()]
+    return found
+
+
+def task(text: str) -> tuple[int, int]:
+    """K and N of K/N."""
+    number, sign, count = text.partition("/")
+    if not (sign and number.isdecimal() and count.isdecimal() and 1 <= int(number) <= int(count)):
+        raise LumitreeError(f"{text!r} is not a task; write K/N, such as 1/4 for the first of four")
+    return int(number), int(count)
+
+
+def _show_bake(result: Any, given: Given) -> None:
+    import lumitree
+
+    if isinstance(result, dict):
+        print_open(None if result["config"] == "-" else result["config"])
+    elif isinstance(result, lumitree.BakeManyResult):
+        print_lamps(result.lamps)
+        print_open(result.index if "task" not in given else result.folder)
+    else:
+        print_report(result.to_json())
+        print(_shown_part(result.asset.info, result.asset.num_leaves))
+        print_open(result.path)
+
+
+def _shown_part(info: Any, leaves: int) -> str:
+    """Part of an asset that images show, and the part that it lacks for more."""
+    if info.appearance == "field":
+        return "Images show the radiance field."
+    if info.appearance == "geometry":
+        more = "" if leaves else " Other integrators than lumitree_path need a radiance field: "
+        return f"Images show the lamp's own geometry.{more}{more and '--parts all adds it.'}"
+    line = "Images show the light field, blurred."
+    # A photometric file has no light paths, and no geometry to add.
+    more = " --parts light,geometry adds what sharp ones need."
+    return line if info.light_field_paths is None else line + more
+
+
+def _evaluate(given: Given) -> Any:
+    asset = os.fspath(given["asset"])
+    return call("evaluate", {"output": f"{Path(asset).with_suffix('')}-evaluation.png"} | given)
+
+
+def _show_evaluation(result: Any, _: Given) -> None:
+    print_metrics(result.to_json())
+    print_open(result.sheet or result.irradiance_sheet)
+
+
+def _render(given: Given) -> Any:
+    from lumitree.core.arguments import check_sheet_output
+    from lumitree.core.backend import load_rgb
+    from lumitree.core.results import plain
+    from lumitree.rendering.saved_passes import forget_passes
+
+    given = dict(given)
+    output, places = given.pop("output"), _places(given)
+    files = {name: given.pop(name, None) for name in ("layers", "aov", "luminance")}
+    check_outputs(output, files["layers"], files["aov"])
+    if files["luminance"] is not None:
+        check_sheet_output(files["luminance"], "luminance image")
+    glare = given.pop("glare", False)
+    if glare:
+        # For the illuminance at the camera.
+        load_rgb(given.get("variant"))
+    if given.pop("progressive", False):
+        given["so_far"] = lambda image: image.save(output)
+    for name in ("layers", "aov"):
+        given[name] = files[name] is not None
+    kept = {"work": given.get("work", f"{output}.work")}
+    result = call("render", given | kept | {"placements": places})
+    for name, path in files.items():
+        if path is not None:
+            getattr(result, f"save_{name}")(path)
+    result.save(output)
+    if "work" not in given:
+        forget_passes(kept["work"])
+    if glare:
+        files["glare"] = plain(_glare(given, places, result))
+    return image_report(result, output) | files
+
+
+def _glare(given: Given, places: list[Any], result: Any) -> Any:
+    """Glare of an image, with the illuminance at the camera."""
+    import lumitree
+
+    if result.camera is None:
+        return lumitree.glare(result, 0)
+    eye = lumitree.illuminance(
+        given["scene"],
+        places,
+        points=[result.camera.origin],
+        normals=[result.camera.direction],
+        unit=given.get("unit", "m"),
+        variant=given.get("variant"),
+    )
+    return lumitree.glare(result, float(eye.total[0]))
+
+
+def _show_image(result: Given, given: Given) -> None:
+    print_report(result)
+    print_open(given["output"])
+
+
+def _illuminance(given: Given) -> Any:
+    from lumitree.measure.illuminance import check_illuminance_output
+    from lumitree.measure.receivers import read_points
+
+    given = dict(given)
+    outputs = given.pop("output", ())
+    for path in outputs:
+        check_illuminance_output(path)
+    given["placements"] = _places(given)
+    for name, each in AREAS.items():
+        given[f"{name}s"] = [each.read(text) for text in given.pop(name, ())]
+    if "points" in given:
+        given["points"], given["normals"] = read_points(given["points"])
+    result = call("illuminance", given)
+    for path in outputs:
+        result.save(path)
+    return result
+
+
+def _show_collected(result: Any, _: Given) -> None:
+    print_lamps(result.lamps)
+    print_open(result.index)
+
+
+def _mix(given: Given) -> Any:
+    given = dict(given)
+    output = given.pop("output")
+    check_outputs(output)
+    gains = {}
+    for text in given.pop("gain", ()):
+        name, equals, values = text.rpartition("=")
+        if not equals or not name:
+            raise LumitreeError(f"{text!r} is not LAYER=GAIN; write lamp=0.5")
+        gains[name] = convert("gain", Option(vector(1, 3), ""), values)
+    result = call("mix", given | {"gain": gains})
+    result.save(output)
+    return image_report(result, output)
+
+
+def _view(given: Given) -> Any:
+    from lumitree.core.interruption import deferred_interrupt
+    from lumitree.viewer.view import address, open_server
+
+    given = dict(given)
+    port = given.pop("port", 0)
+    result = call("view", given)
+    if result.page is not None:
+        return result
+    with (
+        open_server(result.html, port) as server,
+        deferred_interrupt("the page is no longer served") as stop,
+    ):
+        print(f"open {address(server)} in a browser; Ctrl-C ends", flush=True)
+        server.timeout = _LOOK_SECONDS
+        while not stop:
+            server.handle_request()
+    return result
+
+
+def _info(given: Given) -> Any:
+    import lumitree
+    from lumitree.rendering.asset_info import asset_report
+
+    return {"asset": asset_report(lumitree.load(given["asset"]), given["asset"])}
+
+
+def _list(_: Given) -> Any:
+    import lumitree
+
+    return {"luminaires": lumitree.builtin_luminaires()}
+
+
+def _demo(given: Given) -> Any:
+    from lumitree import demo
+
+    return demo.run(
+        given.get("output", "demo-output"), given.get("variant"), given.get("full", False)
+    )
+
+
+def _show_demo(result: Given, given: Given) -> None:
+    if "evaluate" in result:
+        print_metrics(result["evaluate"])
+    else:
+        print_report({"irradiance": result["bake"]["irradiance"]})
+    print_report({name: result[name] for name in ("seconds", "peak_memory_bytes")})
+    print(f"written: {', '.join(result['files'])}")
+    print_open(Path(given.get("output", "demo-output")) / "comparison.png")
+
+
+_IMAGE = _file("Image to write: .exr, linear radiance; or .png, as --view shows it.", "-o", NEEDED)
+
+
+def _needed(function: str, name: str = "output") -> dict[str, Option]:
+    """An option that has a default in Python alone, where the result is not lost without it."""
+    return {name: dataclasses.replace(options_of(function)[name], default=NEEDED)}
+
+
+COMMANDS: dict[str, Command] = {
+    "list": Command("builtin_luminaires", _list, lambda result, _: print_list(result)),
+    "preview": Command("preview", show=lambda result, _: print_preview(result)),
+    "capture": Command("capture", opens="dataset"),
+    "train": Command("train", opens="run"),
+    "extract": Command("extract", opens="path", options=lambda: _needed("extract")),
+    "bake": Command(
+        "bake",
+        _bake,
+        _show_bake,
+        lambda: {
+            "source": Option(
+                Annotated[list[Path], Parameter(converter=each_text, completer=lamps)],
+                f"{options_of('bake')['source'].help} Several are baked into a "
+                "folder, NAME=LUMINAIRE under that name; @FILE stands for the luminaires that a "
+                "text file lists, one a line.",
+                (),
+                positional=True,
+            ),
+            "output": _file(
+                "The .lumitree file to write; for several luminaires, or with / at its end, a "
+                "folder for the assets and an index page. The same command continues an "
+                "interrupted bake.",
+                "-o",
+            ),
+            "config": _file(
+                "TOML file of all settings, such as irradiance_paths or [octree] tree_depth; "
+                "options replace its values, and it replaces the values of the quality."
+            ),
+            "write_config": _text(
+                "Write the settings of the quality, with comments, to this file, or with - to the "
+                "terminal, and end."
+            ),
+            "task": Option(
+                Annotated[str | None, Parameter(converter=one(task))],
+                "K/N: of several luminaires bake only those at positions K, K + N, K + 2 N and so "
+                "on, counted from 1; 'collect' then writes the index page.",
+                None,
+            ),
+        },
+        text="Bake a luminaire, the views of a dataset or a photometric file into an asset.",
+    ),
+    "collect": Command("collect", show=_show_collected),
+    "refine": Command("refine", opens="path", options=lambda: _needed("refine")),
+    "mix": Command(
+        "mix",
+        _mix,
+        _show_image,
+        lambda: {
+            "layers": dataclasses.replace(
+                _file("A file of `render --layers`."), default=NEEDED, positional=True
+            ),
+            "gain": _patterns(
+                "LAYER=R,G,B: factors on the red, green and blue light of a layer, or one number "
+                "for all; may be repeated."
+            ),
+            "output": _IMAGE,
+        },
+    ),
+    "info": Command(
+        "",
+        _info,
+        lambda result, _: print_report(result),
+        lambda: {"asset": options_of("view")["asset"]},
+        text="Describe an asset.",
+    ),
+    "evaluate": Command("evaluate", _evaluate, _show_evaluation),
+    "photometry": Command("photometry", show=lambda result, _: print_photometry(result)),
+    "illuminance": Command(
+        "illuminance",
+        _illuminance,
+        lambda result, given: print_illuminance(result, given.get("output", ())),
+        lambda: {
+            "output": dataclasses.replace(
+                options_of("photometry")["output"],
+                help="File to write: .csv or .json (each point), .png (plan in false colours with "
+                "isolux lines) or .pdf (plan and table); may be repeated.",
+            ),
+            "points": _file("Further points: a CSV file with the columns x, y, z, nx, ny, nz."),
+            **_placed(),
+            **AREAS["surface"].options("surface"),
+            **AREAS["plane"].options("plane"),
+        },
+    ),
+    "render": Command(
+        "render",
+        _render,
+        _show_image,
+        lambda: {
+            "output": _IMAGE,
+            **_placed(),
+            "progressive": Option(
+                bool,
+                "Write the image again and again while it is rendered, before denoising.",
+                False,
+            ),
+            "layers": _file("Also write the light of each luminaire as a layer, .exr, for `mix`."),
+            "aov": _file("Also write the image before denoising, albedo and normal, .exr."),
+            "luminance": _file(
+                "Also write the luminance in false colours, .png, with a legend in cd/m²."
+            ),
+            "glare": Option(
+                bool, "Also compute the glare of the view: UGR, and DGP for daylight.", False
+            ),
+            "work": _file(
+                "Folder for the passes so far, which is kept. Default: the name of the image "
+                "followed by .work, removed at the end."
+            ),
+        },
+    ),
+    "view": Command(
+        "view",
+        _view,
+        lambda result, _: print_open(result.page),
+        lambda: {
+            "output": _file(
+                "HTML file to write, which needs no other file and no network. Default: the page "
+                "is served on this computer until Ctrl-C.",
+                "-o",
+            ),
+            "port": Option(int, "Port to serve on. Default: a free one.", 0),
+        },
+    ),
+    "export": Command("export", show=lambda result, _: print_exported(result)),
+    "blender-extension": Command("blender_extension", opens="file"),
+    "demo": Command(
+        "",
+        _demo,
+        _show_demo,
+        lambda: {
+            "output": _file(
+                "Folder for the images, the report and the asset.", "-o", "demo-output"
+            ),
+            "full": Option(
+                bool,
+                "Make a radiance field too, and compare views of it: 6 minutes on 2 CPU cores in "
+                "place of 1.",
+                False,
+            ),
+            "variant": options_of("bake")["variant"],
+        },
+        text="Bake a built-in lamp, and compare it with the explicit lamp in a room.",
+    ),
+}

@@ -1,0 +1,313 @@
+"""Illuminance of planes, surfaces and points of a scene with luminaires placed in it."""
+
+import csv
+import dataclasses
+import io
+import math
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lumitree.core.arguments import check_items, check_range, metres_of
+from lumitree.core.backend import in_turn, load_rgb
+from lumitree.core.files import FilePath, check_writable, write_bytes, write_json
+from lumitree.core.progress import ProgressCallback, reporting, show_progress
+from lumitree.core.results import Result, Stopwatch, plain
+from lumitree.core.seeds import check_seed
+from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown, shown_names
+from lumitree.measure.receivers import (
+    AreaFigures,
+    Plane,
+    Receivers,
+    Surface,
+    chosen_shapes,
+    collect,
+)
+from lumitree.rendering.placement import Placement
+
+if TYPE_CHECKING:
+    from lumitree.measure.figures import Plan
+    from lumitree.rendering.integrator import PathScene
+    from lumitree.rendering.scene import PlacedLuminaire
+
+OUTPUTS = (".csv", ".json", ".png", ".pdf")
+# Columns of a table of receivers.
+_COLUMNS = (
+    *("area", "x", "y", "z", "nx", "ny", "nz"),
+    *("direct_lx", "direct_error_lx", "total_lx", "total_error_lx"),
+)
+
+
+@dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
+class IlluminanceResult(Result):
+    """Result of `illuminance`.
+
+    Attributes:
+        areas: figures of each plane, surface, and of the points that were given.
+        direct_only: whether the total is the direct illuminance, without reflected light.
+        position, normal: [N, 3] of the receivers, scene coordinates.
+        direct, total: [N] illuminance straight from emitters, and with all reflections, lx; NaN
+            inside solids.
+        direct_error, total_error: [N] their standard errors, lx.
+        samples: [N] samples of each receiver.
+    """
+
+    areas: list[AreaFigures]
+    direct_only: bool
+    position: NDArray[np.float64] = dataclasses.field(repr=False)
+    normal: NDArray[np.float64] = dataclasses.field(repr=False)
+    direct: NDArray[np.float64] = dataclasses.field(repr=False)
+    direct_error: NDArray[np.float64] = dataclasses.field(repr=False)
+    total: NDArray[np.float64] = dataclasses.field(repr=False)
+    total_error: NDArray[np.float64] = dataclasses.field(repr=False)
+    samples: NDArray[np.int64] = dataclasses.field(repr=False)
+    receivers: list[Receivers] = dataclasses.field(repr=False)
+
+    @explained
+    def save(self, path: FilePath) -> None:
+        """Write the illuminance.
+
+        Args:
+            path: path of the file. The suffix decides: `.csv` or `.json` (each receiver), `.png`
+                (plan in false colours with isolux lines), or `.pdf` (plan and table, A4).
+
+        Raises:
+            LumitreeError: the name has another ending, or the file cannot be written.
+        """
+        check_illuminance_output(path)
+        kind = Path(path).suffix.lower()
+        if kind == ".json":
+            write_json(path, self.to_json() | {"receivers": plain(self.table())})
+        elif kind == ".csv":
+            write_bytes(path, self._csv())
+        else:
+            from lumitree.measure.figures import plan_pdf, plan_png
+
+            write = plan_png if kind == ".png" else plan_pdf
+            write_bytes(path, write(self._plans(), self.direct_only))
+
+    def table(self) -> list[dict[str, Any]]:
+        """A dictionary for each receiver, as the files have it."""
+        names = [area.name for area in self.areas for _ in range(area.count)]
+        light = (self.direct, self.direct_error, self.total, self.total_error)
+        numbers = np.column_stack([self.position, self.normal, *light]).tolist()
+        return [
+            dict(zip(_COLUMNS, (name, *row), strict=True))
+            for name, row in zip(names, numbers, strict=True)
+        ]
+
+    def _csv(self) -> bytes:
+        stream = io.StringIO(newline="")
+        writer = csv.writer(stream)
+        writer.writerow(_COLUMNS)
+        for row in self.table():
+            name, *numbers = row.values()
+            # Empty inside solids.
+            texts = ("" if math.isnan(number) else f"{number:.6g}" for number in numbers)
+            writer.writerow((name, *texts))
+        return stream.getvalue().encode()
+
+    def _repr_png_(self) -> bytes:
+        from lumitree.measure.figures import plan_png
+
+        return plan_png(self._plans(), self.direct_only)
+
+    def _plans(self) -> "list[Plan]":
+        from lumitree.measure.figures import Plan
+
+        arrays = (self.total, self.total_error, self.direct)
+        return [
+            Plan(area, receivers, *(each[area.part] for each in arrays))
+            for area, receivers in zip(self.areas, self.receivers, strict=True)
+        ]
+
+
+@in_turn
+def illuminance(
+    scene: "FilePath | Mapping[str, Any] | Any",
+    placements: Sequence[Placement] = (),
+    *,
+    planes: Sequence[Plane] = (),
+    surfaces: Sequence[Surface] = (),
+    points: ArrayLike | None = None,
+    normals: ArrayLike | None = None,
+    error: float = 0.02,
+    time: float | None = None,
+    direct: bool = False,
+    unit: float | str = "m",
+    seed: int = 0,
+    variant: str | None = None,
+    progress: ProgressCallback | None = show_progress,
+) -> IlluminanceResult:
+    """Illuminance of planes, surfaces and points of a scene, with standard errors.
+
+    All lights of the scene count, with reflections of any number. Direct light from the light
+    fields of baked luminaires is summed, and only its shadows are sampled. Straight light of
+    luminaires with geometry is sampled, with shadow rays to their emitters.
+
+    Args:
+        scene: as for `render`, but it needs no camera, and its integrator does not count. It may
+            not have heterogeneous media.
+        placements: the luminaires, as for `render`.
+        planes: rectangles with grids of points.
+        surfaces: shapes of the scene.
+        points: [N, 3] further points, scene coordinates.
+        normals: [N, 3] or [3] normals of these points, of any length.
+        error: standard error of the total at each point that is enough, relative to the illuminance
+            there or, if this is more, to a tenth of the mean of all points; 0.0001 to 1.
+        time: after which no more light is sampled, s, 0.001 to 10⁷; default: no limit.
+        direct: whether to omit reflected light.
+        unit: unit of length of the scene: "m", "cm", "mm", "in", "ft", or the metres in a unit. It
+            counts for `Placement.lumens` and for photometric files, which state metres; the
+            illuminance of all other lamps follows from radiance.
+        seed: root seed of all random numbers, 0 to 2³¹ - 1.
+        variant: Mitsuba variant; see `bake`.
+        progress: function that is called with a `Progress` after each pass; see `bake`.
+
+    Returns:
+        Illuminance of all receivers: first of planes, then of surfaces and points.
+
+    Raises:
+        LumitreeError: an argument is out of range; there is no receiver, or no emitter; or the
+            scene, an asset or a luminaire cannot be read.
+
+    Example:
+        >>> desk = lumitree.Plane((0, 0.75, 0), (0, 1, 0), extent=(1.6, 0.8), spacing=0.1)
+        >>> lamp = lumitree.Placement("lamp.lumitree", at=(0, 2.2, 0))
+        >>> result = lumitree.illuminance("room.xml", [lamp], planes=[desk])
+        >>> print(result.areas[0].mean, "lx")
+        >>> result.save("desk.png")
+    """
+    for name, values, kind in (
+        ("placements", placements, Placement),
+        ("planes", planes, Plane),
+        ("surfaces", surfaces, Surface),
+    ):
+        check_items(name, values, kind)
+    check_range("error", error, 1e-4, 1)
+    if time is not None:
+        check_range("time", time, 1e-3, 1e7)
+    check_seed(seed)
+    metres = metres_of(unit)
+    load_rgb(variant)
+    from lumitree.measure.illuminance_estimate import estimate
+    from lumitree.rendering.scene import (
+        load_without_camera,
+        open_placements,
+        place_luminaires,
+        scene_title,
+    )
+
+    watch = Stopwatch()
+    with reporting(progress):
+        with watch.stage("load"):
+            title = scene_title(scene)
+            room, shapes = load_without_camera(scene)
+            chosen = [chosen_shapes(each, room, shapes, title) for each in surfaces]
+            areas = collect(planes, surfaces, chosen, points, normals, seed)
+            placed = open_placements(placements, metres)
+            _warn_of_glass(placed)
+            whole = place_luminaires(room, placed, appearance="geometry")
+            position = np.concatenate([area.points for area in areas])
+            normal = np.concatenate([area.normals for area in areas])
+            _light_boxes(whole, position)
+            paths = _paths(whole, title)
+        with watch.stage("estimate"):
+            found = estimate(
+                paths,
+                position,
+                normal,
+                error=error,
+                seconds=time,
+                reflected=not direct,
+                seed=seed,
+            )
+    figures, first = [], 0
+    for area in areas:
+        part = slice(first, first + len(area.points))
+        figures.append(AreaFigures.of(area.name, first, found.total[part], found.total_error[part]))
+        first = part.stop
+        if figures[-1].enclosed == figures[-1].count:
+            warnings.warn(
+                f"all points of {shown(area.name, 200)} are inside solids, or outside of the room; "
+                "look at its position, and at the unit of the scene",
+                LumitreeWarning,
+                stacklevel=2,
+            )
+    return IlluminanceResult(
+        areas=figures,
+        direct_only=direct,
+        position=position,
+        normal=normal / np.linalg.norm(normal, axis=1)[:, None],
+        receivers=areas,
+        **{field.name: getattr(found, field.name) for field in dataclasses.fields(found)},
+        **watch.costs(),
+    )
+
+
+def check_illuminance_output(path: FilePath) -> None:
+    """Refuse a file that `IlluminanceResult.save` cannot write."""
+    if Path(path).suffix.lower() not in OUTPUTS:
+        name = shown(repr(str(path)), 300)
+        raise LumitreeError(f"output {name} does not end in one of {', '.join(OUTPUTS)}")
+    check_writable(path)
+
+
+def _warn_of_glass(placed: "Sequence[PlacedLuminaire]") -> None:
+    """Warn of explicit lamps with glass, whose light is found by rare paths."""
+    for each in placed:
+        file = None if each.luminaire is None else each.luminaire.file
+        names = [] if file is None else [node.props.plugin_name() for node in file.nodes("BSDF")]
+        if any("dielectric" in name and not name.startswith("thin") for name in names):
+            warnings.warn(
+                f"{each.title} is placed as explicit geometry with glass, through which light is "
+                "found by rare paths, so that illuminance takes long; bake it first",
+                LumitreeWarning,
+                stacklevel=3,
+            )
+
+
+def _paths(scene: Any, title: str) -> "PathScene":
+    """A scene with luminaires, for paths."""
+    from lumitree.lamp.media import any_heterogeneous, media
+    from lumitree.rendering.geometry import GeometryEmitter
+    from lumitree.rendering.integrator import PathScene
+    from lumitree.rendering.proxies import DividedScene
+
+    if any_heterogeneous(scene):
+        raise LumitreeError(
+            f"{title} has a heterogeneous medium, whose light is not estimated; make it "
+            "homogeneous, or remove it"
+        )
+    if not scene.emitters():
+        raise LumitreeError(f"{title} has no light; place a lamp or add an emitter")
+    # Their light would not be sampled. The geometry of baked lamps is not in question.
+    shapes = {shape.emitter(): shape for shape in scene.shapes() if shape.is_emitter()}
+    unsampled = [
+        shapes[each].id() or f"a {shapes[each].class_name().lower()}"
+        if each in shapes
+        else each.id() or each.class_name()
+        for each in scene.emitters()
+        if each.sampling_weight() <= 0 and not isinstance(each, GeometryEmitter)
+    ]
+    if unsampled:
+        raise LumitreeError(
+            f"{title} has emitters with the sampling_weight 0, whose light would be missing "
+            f"({shown_names(unsampled)}); give them a larger one"
+        )
+    return PathScene(scene, DividedScene().of(scene), media(scene))
+
+
+def _light_boxes(scene: Any, points: NDArray[np.float64]) -> None:
+    """Let lamps light the inside of their boxes if there are points in them."""
+    from lumitree.rendering.emitter import lamps_of
+
+    for lamp in lamps_of(scene.emitters()).values():
+        box = np.linalg.inv(lamp.scene_from_box)
+        local = points @ box[:3, :3].T + box[:3, 3]
+        if (np.abs(local) <= 1.01).all(axis=1).any():
+            lamp.light_inside()

@@ -1,0 +1,205 @@
+"""The table from which a cell of light is sampled, and the cells of receivers that are its rows.
+
+Each row is in proportion to the root mean square of the light that cells send to random receivers
+of its cell of receivers, a part of it to the flux of cells.
+
+Cells of receivers around a lamp are bins of direction from its centre (`core.octahedral`) times
+shells of equal width in R / distance, in which parallax is linear; R is the radius of the lamp's
+bounding sphere. The innermost shell has no end. In the lamp's box, cells of receivers are a grid.
+
+Symbols
+    C   cells that emit
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Protocol
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.core.device import parameter
+from lumitree.core.octahedral import bin_of, direction_in_bin
+
+# Part of the samples of a cell that is by flux alone.
+_FLUX_FRACTION = 0.1
+# Receivers in each of their cells that a row is made from, and rows that are made at once.
+_POINTS_PER_CELL = 16
+_ROWS_AT_ONCE = 16
+# intensity(cell, offset, distance): radiant intensity of a cell towards a receiver.
+Intensity = Callable[["mi.UInt32", "mi.Vector3f", "mi.Float"], "mi.Color3f"]
+
+
+class Receivers(Protocol):
+    """Cells of a space in which there are receivers."""
+
+    count: int
+
+    def index(self, x: mi.Point3f) -> mi.UInt32:
+        """Index of the cell of a point, or of the nearest cell."""
+        ...
+
+    def point(self, cell: mi.UInt32, sample: mi.Point2f, depth_sample: mi.Float) -> mi.Point3f:
+        """Random point of a cell for three samples in [0, 1)."""
+        ...
+
+
+def cell_rows(
+    receivers: Receivers,
+    corners: mi.Float,
+    intensity: Intensity,
+    scale: mi.Float,
+    flux: NDArray[np.float64],
+    softening: float = 0.0,
+) -> Iterator[NDArray[np.float64]]:
+    """Rows of an alias table: shares [.., C] of samples that each cell is to get.
+
+    There is a row for each cell of receivers, and one more by flux alone.
+
+    Args:
+        receivers: a multiple of 16 of their cells.
+        corners: mi.Float [C × 2 × 3], lower and upper corner of each.
+        scale: the largest intensity.
+        flux: [C] of the cells, any unit.
+        softening: distance that is added to the distance from a cell to a receiver, in square: for
+            receivers among the cells. Others, at all distances, count alike with 0.
+    """
+    by_flux = flux / flux.sum()
+    # Numbers on the device: lamps share the kernel.
+    count = parameter(mi.UInt32, len(flux))
+    soft = parameter(mi.Float, softening**2) if softening else None
+
+    def square(first: int) -> mi.Float:
+        points = _ROWS_AT_ONCE * _POINTS_PER_CELL
+        rng = mi.PCG32(points, initstate=dr.opaque(mi.UInt64, first))
+        row = dr.opaque(mi.UInt32, first) + dr.arange(mi.UInt32, points) // _POINTS_PER_CELL
+        sample = mi.Point2f(rng.next_float32(), rng.next_float32())
+        x = receivers.point(row, sample, rng.next_float32())
+        cell = dr.arange(mi.UInt32, _ROWS_AT_ONCE * len(flux))
+        random = mi.PCG32(dr.width(cell), initstate=dr.opaque(mi.UInt64, first))
+        found = _mean_square(
+            x, cell // count, cell % count, corners, intensity, scale, soft, random
+        )
+        dr.eval(found)
+        return found
+
+    # All are begun before the first is waited for: each waiting costs time of the processor.
+    for found in [square(first) for first in range(0, receivers.count, _ROWS_AT_ONCE)]:
+        light = np.sqrt(np.array(found, np.float64).reshape(_ROWS_AT_ONCE, -1))
+        total = light.sum(axis=1, keepdims=True)
+        shares = np.where(total > 0, light / np.maximum(total, 1e-300), by_flux)
+        yield (1 - _FLUX_FRACTION) * shares + _FLUX_FRACTION * by_flux
+    yield flux[None]
+
+
+@dr.syntax
+def _mean_square(
+    points: mi.Point3f,
+    row: mi.UInt32,
+    cell: mi.UInt32,
+    corners: mi.Float,
+    intensity: Intensity,
+    scale: mi.Float,
+    soft: mi.Float | None,
+    random: mi.PCG32,
+) -> mi.Float:
+    """Mean square of the light that cells send to receivers of rows, over `scale`.
+
+    Args:
+        points: `_POINTS_PER_CELL` receivers of each row.
+        soft: added to squares of distances; None for receivers at all distances.
+    """
+    lower = dr.gather(mi.Point3f, corners, 2 * cell)
+    upper = dr.gather(mi.Point3f, corners, 2 * cell + 1)
+    done, total = mi.UInt32(0), mi.Float(0)
+    # In a loop, since the table is made of some ten million terms, which need not be stored.
+    while done < _POINTS_PER_CELL:
+        x = dr.gather(mi.Point3f, points, row * _POINTS_PER_CELL + done)
+        within = mi.Point3f(random.next_float32(), random.next_float32(), random.next_float32())
+        offset = mi.Vector3f(x - dr.lerp(lower, upper, within))
+        square = dr.squared_norm(offset)
+        if soft is not None:
+            square += soft
+        # Not the mean over channels: its divisor would be a constant that depends on the width.
+        light = dr.sum(intensity(cell, offset, dr.sqrt(square)))
+        if soft is None:
+            light *= dr.squared_norm(mi.Vector3f(x))
+        # Relative to the largest intensity: squares of others may be out of range.
+        light /= square * scale
+        total += dr.square(light)
+        done += 1
+    return total / _POINTS_PER_CELL
+
+
+class ReceiverCells:
+    """Cells around a lamp in its local frame, numbered shell by shell from the outermost.
+
+    Args:
+        resolution: bins of direction a side.
+        shell_width: of a shell in R / distance.
+        first_shell: receivers that are farther away are in this one.
+    """
+
+    def __init__(
+        self,
+        half_extents: NDArray[np.float64],
+        resolution: int,
+        num_shells: int,
+        shell_width: float,
+        first_shell: int = 0,
+    ) -> None:
+        self.resolution = resolution
+        self.num_bins = resolution**2
+        self.count = num_shells * self.num_bins
+        self._width = shell_width
+        self._shells = parameter(mi.Vector2u, first_shell, first_shell + num_shells - 1)
+        self._radius = parameter(mi.Float, float(np.linalg.norm(half_extents)))
+        self._half = parameter(mi.Point3f, *half_extents.tolist())
+
+    def index(self, x: mi.Point3f, shells: mi.Vector2u | None = None) -> mi.UInt32:
+        """Index of the cell of a point.
+
+        `shells`: the first and the last one, if not those of this object.
+        """
+        first, last = self._shells if shells is None else shells
+        offset = mi.Vector3f(x)
+        nearness = self._radius * dr.rsqrt(dr.squared_norm(offset)) / self._width
+        shell = dr.clip(mi.UInt32(dr.minimum(nearness, mi.Float(last))), first, last) - first
+        return shell * self.num_bins + bin_of(offset, self.resolution, bevelled=False)
+
+    def point(self, cell: mi.UInt32, sample: mi.Point2f, depth_sample: mi.Float) -> mi.Point3f:
+        """Random point of a cell, outside the lamp's box."""
+        direction, _ = direction_in_bin(
+            cell % self.num_bins, sample, self.resolution, bevelled=False
+        )
+        shell = cell // self.num_bins + self._shells.x
+        nearness = (mi.Float(shell) + depth_sample) * self._width
+        surface = dr.min(self._half / dr.abs(direction))
+        # Beyond 50 R nothing changes any more but the rounding.
+        distance = dr.maximum(self._radius / dr.maximum(nearness, 0.02), 1.001 * surface)
+        return mi.Point3f(direction * distance)
+
+
+class InsideReceivers:
+    """Cells of receivers in a lamp's box: as many a side, whatever its proportions."""
+
+    def __init__(self, half_extents: NDArray[np.float64], resolution: int) -> None:
+        self.resolution, self.count = resolution, resolution**3
+        self._half = parameter(mi.Vector3f, *half_extents.tolist())
+
+    def index(self, x: mi.Point3f) -> mi.UInt32:
+        """Index of the cell of a point, or of the nearest cell."""
+        side = self.resolution
+        place = mi.Vector3i(dr.floor((mi.Vector3f(x) / self._half + 1) * (side / 2)))
+        place = mi.Vector3u(dr.clip(place, 0, side - 1))
+        return (place.z * side + place.y) * side + place.x
+
+    def point(self, cell: mi.UInt32, sample: mi.Point2f, depth_sample: mi.Float) -> mi.Point3f:
+        """Random point of a cell."""
+        side = self.resolution
+        place = mi.Vector3f(cell % side, cell // side % side, cell // side**2)
+        within = mi.Vector3f(sample.x, sample.y, depth_sample)
+        return mi.Point3f(((place + within) * (2 / side) - 1) * self._half)

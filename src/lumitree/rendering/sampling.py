@@ -1,0 +1,212 @@
+"""Sampling: use of random samples in more than one place, weights of MIS, and the proxy, a box.
+
+The proxy is sampled from outside only: from a point inside, nothing is.
+
+Symbols
+    h       half extents of the box
+    pdf     density per solid angle; the same in world and local frame, since similarities
+            keep angles
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.core.device import parameter
+
+_PARALLEL = 1e-12
+# Part of the samples that is taken uniformly.
+UNIFORM_FRACTION = 0.1
+# What is sampled: bent light (or all) of a receiver outside the box or inside; or straight light.
+OUTSIDE, INSIDE, STRAIGHT = range(3)
+
+
+@dataclass
+class Target:
+    """The point in a lamp that a sampled direction leads to (a PyTree of Dr.Jit).
+
+    A sampler that returns directions alone has a distance of -inf. Only a sampler of cells has
+    all others.
+
+    Attributes:
+        distance: of the point from the receiver, local units.
+        cell: index of the cell that the point is in: of the light field, or of the light inside.
+        pmf: probability with which this cell is sampled.
+        place: `OUTSIDE`, `INSIDE` or `STRAIGHT`.
+        bins: bin of the cell towards the receiver.
+        factor: on the point's light, for the points that it was chosen of.
+        light: straight light of the point, over the density with which it is sampled.
+        total: estimate of the light of all points that the receiver may get, for the choice between
+            bent and straight light.
+        density: of the point of straight light, per steradian, for multiple importance sampling.
+    """
+
+    distance: mi.Float
+    cell: mi.UInt32
+    pmf: mi.Float
+    place: mi.UInt32
+    bins: mi.UInt32
+    factor: mi.Float
+    light: mi.Color3f
+    total: mi.Float
+    density: mi.Float
+
+    @classmethod
+    def at(cls, distance: mi.Float) -> Target:
+        """Target at a distance, of a sampler that does not sample cells."""
+        none, no = mi.UInt32(0), mi.Float(0)
+        factor = mi.Float(1)
+        return cls(distance, none, no, mi.UInt32(OUTSIDE), none, factor, mi.Color3f(0), no, no)
+
+
+def divide_sample(sample: mi.Float, fraction: mi.Float | float) -> tuple[mi.Bool, mi.Float]:
+    """Whether a sample in [0, 1) is below `fraction`, and a sample in [0, 1) for either case."""
+    below = sample < fraction
+    rest = dr.select(below, sample / fraction, (sample - fraction) / (1 - fraction))
+    return below, dr.clip(rest, 0, dr.one_minus_epsilon(mi.Float))
+
+
+def scrambled(sample: mi.Point2f) -> mi.Point3f:
+    """Three numbers in [0, 1) from all bits of a sample in the unit square."""
+    x, y = (dr.reinterpret_array(mi.UInt32, each) for each in (sample.x, sample.y))
+    u, v = mi.sample_tea_32(x, y)
+    w, _ = mi.sample_tea_32(v, u)
+    return mi.Point3f(mi.Float(u >> 8), mi.Float(v >> 8), mi.Float(w >> 8)) * 2.0**-24
+
+
+def resample(choice: mi.Float, light: mi.Float, total: mi.Float) -> tuple[mi.Bool, mi.Float]:
+    """Whether a candidate of resampled importance sampling takes the place of those before.
+
+    Args:
+        choice: number in [0, 1).
+        light: weight of the candidate.
+        total: of it and of those before.
+
+    Returns:
+        With it a new number in [0, 1).
+    """
+    return divide_sample(choice, dr.select(total > 0, light / total, 0))
+
+
+def sample_row(
+    cumulated: mi.Float, first: mi.UInt32, count: int, sample: mi.Float, active: mi.Bool | bool
+) -> mi.UInt32:
+    """Index, from 0, that a sample in [0, 1) has in one row of a table of cumulated chances."""
+
+    # The search is over the next power of two, so that rows of similar lengths share a kernel.
+    length, bound = dr.opaque(mi.UInt32, count), 1 << (count - 1).bit_length()
+
+    def below(index):
+        inside = active & (index < length)
+        return inside & (dr.gather(mi.Float, cumulated, first + index, inside) <= sample)
+
+    return dr.minimum(dr.binary_search(0, bound - 1, below), length - 1)
+
+
+def mis_weight(pdf: mi.Float, other_pdf: mi.Float) -> mi.Float:
+    """Power heuristic; 0 where neither density is positive, as in `path`."""
+    weight = dr.square(pdf) / (dr.square(pdf) + dr.square(other_pdf))
+    return dr.select(dr.isfinite(weight), weight, 0)
+
+
+class BoxProxy:
+    """The bounding box; its visible faces are sampled uniformly by area."""
+
+    def __init__(self, half_extents: NDArray[np.float64]) -> None:
+        self.half = parameter(mi.Vector3f, *half_extents.tolist())
+
+    def _visible_areas(self, origin: mi.Point3f) -> mi.Vector3f:
+        return dr.select(dr.abs(origin) > self.half, face_areas(self.half), 0)
+
+    def sample(self, origin: mi.Point3f, sample: mi.Point2f) -> mi.Vector3f:
+        """Direction from `origin` for a sample in the unit square; valid where `pdf` is not 0."""
+        p = point_on_box(self.half, self._visible_areas(origin), origin, sample)
+        return dr.normalize(p - origin)
+
+    def enter(
+        self, origin: mi.Point3f, direction: mi.Vector3f
+    ) -> tuple[mi.Float, mi.Vector3f, mi.Bool]:
+        """Distance and outward normal where a line enters from outside, and whether it does."""
+        near, far = slab(-mi.Vector3f(origin), self.half, safe_inverse(direction))
+        distance = dr.max(near)
+        normal = dr.select(near == distance, -dr.sign(direction), 0)
+        return distance, dr.normalize(normal), (distance > 0) & (distance <= dr.min(far))
+
+    def pdf(self, origin: mi.Point3f, direction: mi.Vector3f) -> mi.Float:
+        """Density with which `sample` gives `direction` from `origin`."""
+        distance, normal, hit = self.enter(origin, direction)
+        cosine = -dr.dot(normal, direction)
+        total = dr.sum(self._visible_areas(origin))
+        return dr.select(hit & (total > 0), dr.square(distance) / (cosine * total), 0)
+
+
+def sample_cone(origin: mi.Point3f, radius: float, sample: mi.Point2f) -> mi.Vector3f:
+    """Direction towards the sphere of this radius about the centre, uniform over its solid angle.
+
+    From a point inside the sphere all directions are towards it.
+    """
+    axis = -mi.Vector3f(origin)
+    one_minus_cos = _cap(origin, radius) * sample.x
+    sine, cosine = dr.safe_sqrt(one_minus_cos * (2 - one_minus_cos)), 1 - one_minus_cos
+    azimuth_sine, azimuth_cosine = dr.sincos(dr.two_pi * sample.y)
+    frame = mi.Frame3f(dr.normalize(axis))
+    return frame.to_world(mi.Vector3f(sine * azimuth_cosine, sine * azimuth_sine, cosine))
+
+
+def cone_pdf(origin: mi.Point3f, radius: float | mi.Float) -> mi.Float:
+    """Density of `sample_cone`, the same for all of its directions."""
+    return dr.rcp(dr.two_pi * _cap(origin, radius))
+
+
+def _cap(origin, radius):
+    """1 - cosine of the half angle under which a sphere is seen; 2 from inside."""
+    sine_squared = radius**2 / dr.squared_norm(mi.Vector3f(origin))
+    # Written so that a distant, small sphere does not suffer from cancellation.
+    cap = sine_squared / (1 + dr.safe_sqrt(1 - sine_squared))
+    return dr.select(sine_squared < 1, cap, 2)
+
+
+def face_areas(half: mi.Vector3f) -> mi.Vector3f:
+    """Area [3] of a face of a box with half extents `half`, by the axis it is perpendicular to."""
+    return 4 * mi.Vector3f(half.y * half.z, half.x * half.z, half.x * half.y)
+
+
+def point_on_box(
+    half: mi.Vector3f, weights: mi.Vector3f, towards: mi.Vector3f | mi.Point3f, sample: mi.Point2f
+) -> mi.Vector3f:
+    """Point on the faces of a box at the origin that look `towards` a direction or point.
+
+    A face is chosen in proportion to the weight [3] of its axis, and a point uniformly on it.
+    """
+    scaled = sample.x * dr.sum(weights)
+    on_x = scaled < weights.x
+    on_y = ~on_x & (scaled < weights.x + weights.y)
+    on_z = ~on_x & ~on_y
+    start = dr.select(on_x, 0, dr.select(on_y, weights.x, weights.x + weights.y))
+    weight = dr.select(on_x, weights.x, dr.select(on_y, weights.y, weights.z))
+    u = 2 * dr.clip((scaled - start) / weight, 0, 1) - 1
+    v = 2 * sample.y - 1
+    unit = mi.Vector3f(
+        dr.select(on_x, dr.sign(towards.x), u),
+        dr.select(on_y, dr.sign(towards.y), dr.select(on_x, u, v)),
+        dr.select(on_z, dr.sign(towards.z), v),
+    )
+    return unit * half
+
+
+def safe_inverse(direction: mi.Vector3f) -> mi.Vector3f:
+    """1 / direction by component, finite for lines parallel to an axis."""
+    return dr.rcp(dr.select(dr.abs(direction) < _PARALLEL, _PARALLEL, direction))
+
+
+def slab(
+    delta: mi.Vector3f, half: mi.Vector3f, inverse_direction: mi.Vector3f
+) -> tuple[mi.Vector3f, mi.Vector3f]:
+    """Distances [3], [3] at which a line crosses the planes of a box with its centre at `delta`."""
+    middle, reach = delta * inverse_direction, half * dr.abs(inverse_direction)
+    return middle - reach, middle + reach
