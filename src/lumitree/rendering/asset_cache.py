@@ -67,7 +67,7 @@ def open_asset(asset: Asset | str | os.PathLike[str]) -> Asset:
     key = (path, variant, stamp.st_mtime_ns, stamp.st_size, stamp.st_ino)
     found = _READ.get(key)
     if found is None:
-        # Of two threads that read a file the first's asset is kept.
+        # If two threads read a file, the first asset is kept.
         found = _read(asset)
         with _LOCK:
             found = _READ.setdefault(key, found)
