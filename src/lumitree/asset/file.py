@@ -5,13 +5,12 @@ import hashlib
 import json
 import os
 import struct
-from typing import Any
 
 import numpy as np
 import safetensors
 import safetensors.numpy
-from numpy.typing import NDArray
 
+from lumitree.asset.array_stream import Arrays
 from lumitree.asset.asset import Asset, EmittedSpectrum
 from lumitree.asset.field_file import (
     build_field,
@@ -152,7 +151,7 @@ def fingerprint_of(path: str | os.PathLike[str]) -> str:
     return description.text("fingerprint", 64) if description.has("fingerprint") else ""
 
 
-def _build(description: Record, tensors: dict[str, NDArray[Any]]) -> Asset:
+def _build(description: Record, tensors: Arrays) -> Asset:
     description.expect_keys(*_KEYS, optional=("light", "spectrum", "fingerprint"))
     description.choice("activation", (ACTIVATION,))
     light, geometry, spectrum = None, None, None
@@ -230,7 +229,7 @@ def _read_header(content: bytes) -> tuple[str, str, Record]:
     return digest, text, description
 
 
-def _digest(text: str, tensors: dict[str, NDArray[Any]]) -> str:
+def _digest(text: str, tensors: Arrays) -> str:
     """SHA-256 over the description, then each tensor's name, shape and little-endian bytes."""
     digest = hashlib.sha256(text.encode())
     for name in sorted(tensors):

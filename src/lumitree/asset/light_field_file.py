@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.array_stream import Layout, compressed, decompressed
+from lumitree.asset.array_stream import Arrays, Layout, compressed, decompressed
 from lumitree.asset.light_field import MAX_BINS, LightField, LightInside, TracedPaths
 from lumitree.core.reading import Record
+from lumitree.core.results import Json
 from lumitree.errors import LumitreeError
 
 _KEYS = ("depth", "resolution", "scale")
@@ -27,7 +28,7 @@ _INSIDE = "inside."
 _BENT, _STRAIGHT, _BOTH = 0, 1, 2
 
 
-def light_field_tensors(field: LightField) -> dict[str, NDArray[Any]]:
+def light_field_tensors(field: LightField) -> Arrays:
     """Tensors of a field, by name."""
     outer, inner = _layouts(_counts(field), field.resolution)
     arrays = vars(field) | _stored_parts(field)
@@ -38,10 +39,10 @@ def light_field_tensors(field: LightField) -> dict[str, NDArray[Any]]:
     return {"light.stream": compressed(arrays, outer + inner)}
 
 
-def light_field_description(field: LightField) -> dict[str, Any]:
+def light_field_description(field: LightField) -> Json:
     """Description of a field in the file, besides its tensors."""
     counts, inside = _counts(field)
-    members: dict[str, Any] = {key: getattr(field, key) for key in _KEYS} | counts
+    members: Json = {key: getattr(field, key) for key in _KEYS} | counts
     if field.traced is not None:
         members["traced"] = dataclasses.asdict(field.traced)
     if field.inside is not None:
@@ -51,7 +52,7 @@ def light_field_description(field: LightField) -> dict[str, Any]:
     return members
 
 
-def build_light_field(description: Record, tensors: dict[str, NDArray[Any]]) -> LightField:
+def build_light_field(description: Record, tensors: Arrays) -> LightField:
     """The field of a file; the inverse of `light_field_tensors` and `light_field_description`."""
     description.expect_keys(*_KEYS, *_COUNTS, optional=("traced", "inside", "absolute"))
     resolution = description.integer("resolution")
@@ -115,13 +116,13 @@ def _light_of_bins(light: LightField | LightInside) -> NDArray[np.uint8]:
     return np.where(light.bent == light.intensity, _BENT, found).astype(np.uint8)
 
 
-def _stored_parts(light: LightField | LightInside) -> dict[str, NDArray[Any]]:
+def _stored_parts(light: LightField | LightInside) -> Arrays:
     """The bent part of an intensity, as a file has it."""
     kinds = _light_of_bins(light)
     return {"kinds": kinds, "bent": light.bent[kinds == _BOTH]}
 
 
-def _restore_bent(arrays: dict[str, NDArray[Any]]) -> None:
+def _restore_bent(arrays: Arrays) -> None:
     """Replace the arrays of `_stored_parts` by the bent part of each bin."""
     kinds, stored = arrays.pop("kinds"), arrays["bent"]
     if (found := np.count_nonzero(kinds == _BOTH)) != len(stored) or (kinds > _BOTH).any():

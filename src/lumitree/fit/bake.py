@@ -336,9 +336,11 @@ def refine(
         watch = Stopwatch()
         with watch.stage("bake"):
             fit = octree_fit.refine(rough, lamp, octree, at.path, seed)
+        light = rough.light_field
         better = dataclasses.replace(
             fit.asset,
-            light_field=rough.light_field,
+            # A light field of the rough field's rays is made again (`field_light`).
+            light_field=None if light is None or light.traced is None else light,
             geometry=rough.geometry,
             light_factors=rough.light_factors,
         )

@@ -86,9 +86,9 @@ def finish_bake(
         from lumitree.trace.flux import emitted_spectrum
 
         asset = dataclasses.replace(asset, spectrum=emitted_spectrum(luminaire))
-    asset = as_stored(with_field_light(asset))
     irradiance, complete = None, stopped_by is None
     with deferred_interrupt() as interruption:
+        asset = as_stored(with_field_light(asset))
         path = save_asset(asset, output)
     stopped_by = interruption.number if stopped_by is None else stopped_by
     compares = luminaire is not None and irradiance_paths > 0

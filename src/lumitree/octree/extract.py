@@ -16,7 +16,7 @@ Query = Callable[[NDArray[np.float32]], tuple[NDArray[np.float32], NDArray[np.fl
 # The coarse-to-fine search starts here, with this many positions a side in each cell.
 _START_LEVEL = 5
 _START_SIDE = 4
-# Positions a query sees at once; with l_max 4 that is 320 MiB of coefficients, the peak.
+# Positions of a query; with l_max 4 that is 320 MiB of coefficients, the peak.
 _CHUNK = 1 << 20
 
 
@@ -28,10 +28,10 @@ def extract(
     min_density: float = 0.01,
     samples_per_leaf: int = 256,
 ) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.float16]]:
-    """Octree of a field: `children`, `density` and `coefficients` as `Asset` holds them.
+    """Octree of a field: `children`, `density` and `coefficients` as in `Asset`.
 
     Cells are searched coarse to fine; a finest cell becomes a leaf if the density at its centre
-    is above `min_density`, and then holds averages over `samples_per_leaf` positions.
+    is above `min_density`, and then gets averages over `samples_per_leaf` positions.
 
     Args:
         query: the field.

@@ -37,7 +37,7 @@ class FieldRays:
         self._field, self._is_linear = field, data.law == "linear"
         cells, levels = leaf_cells(data.children, data.num_leaves)
         half = data.frame.half_extents
-        # Of leaves outside the box nothing is left.
+        # Parts inside the box; others get a volume of 0.
         lower, upper = (np.clip(each, -half, half) for each in boxes_inside(half, cells, levels))
         size = upper - lower
         density = data.density.astype(np.float64)
