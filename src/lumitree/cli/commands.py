@@ -509,7 +509,7 @@ def _view(given: Given) -> Any:
 
 def _info(given: Given) -> Any:
     import lumitree
-    from lumitree.rendering.asset_info import asset_report
+    from lumitree.rendering.asset_cache import asset_report
 
     return {"asset": asset_report(lumitree.load(given["asset"]), given["asset"])}
 
