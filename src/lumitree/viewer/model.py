@@ -18,8 +18,8 @@ from lumitree.core.device import on_device
 from lumitree.core.octahedral import octahedral
 from lumitree.core.results import Json
 from lumitree.exports.surfaces import geometry_meshes, meshed
+from lumitree.rendering.asset_images import vertex_radiance
 from lumitree.rendering.studio import portrait_half_width, studio_lights
-from lumitree.rendering.surface_radiance import vertex_radiance
 from lumitree.viewer.surfaces import SIDE, WRAPS, Kind, PageSurface, Patterns, page_surface
 from lumitree.viewer.triangles import Triangles, smoothed
 

@@ -1,7 +1,7 @@
 """How the page treats the surfaces of a lamp's geometry, and the images that give them a pattern.
 
 The page follows rays through glass and from metals, rough ones too. Any other surface is *baked*: a
-ray ends there with the mean radiance of the surface (`surface_radiance`), which is the radiance of
+ray ends there with the mean radiance of the surface (`vertex_radiance`), which is the radiance of
 its vertices times its pattern. A pattern is an image of its radiance or of its colour, relative to
 the largest value.
 """
