@@ -9,7 +9,7 @@ from lumitree.asset.materials import VertexColours
 from lumitree.errors import LumitreeWarning
 from lumitree.lamp.importers.obj import read_obj
 from lumitree.lamp.importers.topology import count_solids
-from lumitree.lamp.parts import Diffuse, Glass, Metal, Principled, Texture
+from lumitree.lamp.parts import Diffuse, Glass, Metal, MetallicRoughness, Texture
 
 QUAD = "v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
 
@@ -207,9 +207,11 @@ def test_other_surfaces(quad):
     metal = quad("Kd 0 0 0\nKs 0.9 0.8 0.7\nNs 198\nillum 3").surface
     assert metal == Metal((0.9, 0.8, 0.7), pytest.approx(0.01**0.25))
     glossy = quad("Kd 0.2 0.3 0.4\nKs 0.5 0.5 0.5\nNs 198\nNi 1.33").surface
-    assert glossy == Principled((0.2, 0.3, 0.4), roughness=pytest.approx(0.01**0.25), ior=1.33)
+    assert glossy == MetallicRoughness(
+        (0.2, 0.3, 0.4), roughness=pytest.approx(0.01**0.25), ior=1.33
+    )
     physical = quad("Kd 1 0 0\nPr 0.3\nPm 1\nPs 0.1\nPc 0.5\nPcr 0.2\naniso 0.4").surface
-    assert physical == Principled(
+    assert physical == MetallicRoughness(
         (1, 0, 0), metallic=1, roughness=0.3, anisotropy=0.4, sheen=0.1, clearcoat=0.5,
         clearcoat_roughness=0.2,
     )  # fmt: skip
