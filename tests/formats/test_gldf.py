@@ -20,8 +20,8 @@ from lumitree.formats.opening import Opening
 from lumitree.formats.reading import Archive
 from lumitree.formats.type_c import Grid, IntensityDistribution
 from lumitree.lamp.source import LuminaireSource, gldf_variant, source_kind
+from lumitree.rendering.asset_cache import asset_report
 from lumitree.rendering.asset_flux import asset_lumens
-from lumitree.rendering.asset_info import asset_report
 from support.gldf_files import (
     FACES,
     FILES,

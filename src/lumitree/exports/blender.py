@@ -22,18 +22,19 @@ import sys
 from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from lumitree.asset.array_stream import Arrays
 from lumitree.asset.asset import Asset
 from lumitree.asset.geometry import AssetGeometry
 from lumitree.core.files import json_text, scratch_folder
 from lumitree.core.frames import similarity
 from lumitree.core.octahedral import bilinear_bins
 from lumitree.core.photometry import colour_temperature
+from lumitree.core.results import Json
 from lumitree.errors import LumitreeError, shown
 from lumitree.exports.blender_nodes import BlenderMaterials
 from lumitree.exports.point_lights import PlacedLights, PointLights, Up, turn_up
@@ -113,7 +114,7 @@ def _short(name: str) -> str:
 
 def _surface_data(
     geometry: AssetGeometry, materials: BlenderMaterials, up: Up
-) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+) -> tuple[Json, Arrays]:
     meshes = geometry_meshes(geometry, similarity(turn_up(up, "z")))
     description = {
         "surfaces": list(map(materials.tree, geometry.shapes, meshes)),
@@ -121,22 +122,20 @@ def _surface_data(
             shape.interior and list(shape.interior.absorption) for shape in geometry.shapes
         ],
     }
-    arrays: dict[str, NDArray[Any]] = {}
+    arrays: Arrays = {}
     for index, mesh in enumerate(meshes):
         arrays |= {f"{index}.{name}": values for name, values in mesh.items()}
     arrays |= {f"image {i}": image for i, image in enumerate(geometry.images)}
     return description, arrays
 
 
-def _filled(description: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> str:
+def _filled(description: Json, arrays: Arrays) -> str:
     template = (_FILES / "lamp_script.py").read_text("utf-8")
     head, tail = template.split("@@DATA@@")
     return head + _block(description, arrays) + tail
 
 
-def _light_data(
-    asset: Asset, points: PlacedLights
-) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+def _light_data(asset: Asset, points: PlacedLights) -> tuple[Json, Arrays]:
     """Positions, powers and tables of the lights, in Blender's frame and units."""
     frame, local = asset.frame, points.local
     tables = direction_tables(local, points.rotation.T, 2 * local.resolution)
@@ -161,7 +160,7 @@ def _light_data(
     return description, {"tables": relative.astype(np.float16)}
 
 
-def _block(description: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> str:
+def _block(description: Json, arrays: Arrays) -> str:
     """An archive of NumPy in base64, in lines."""
     text = json_text(description).encode()
     content = io.BytesIO()

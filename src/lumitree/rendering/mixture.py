@@ -12,9 +12,9 @@ from lumitree.core.backend import in_turn
 from lumitree.core.files import FilePath
 from lumitree.core.images import encode_png, image_settings, read_comment, read_exr
 from lumitree.core.results import Stopwatch
-from lumitree.core.view_transform import View, check_view, displayed, room_exposure
 from lumitree.errors import LumitreeError, shown
 from lumitree.rendering.saved_image import SavedImage
+from lumitree.rendering.view_transform import View, check_view, displayed, room_exposure
 
 # W/(m² sr); sums over the pixels of an image are then finite in single precision.
 _MAX_RADIANCE = 1e30

@@ -59,7 +59,7 @@ class SavedImage(ImageResult):
         Raises:
             LumitreeError: the name has another ending, or the file cannot be written.
         """
-        from lumitree.core.drawing import luminance_png
+        from lumitree.rendering.drawing import luminance_png
 
         check_sheet_output(path, "luminance image")
         write_bytes(path, luminance_png(self.luminance))

@@ -12,13 +12,15 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.asset.array_stream import Arrays
 from lumitree.asset.asset import Asset
 from lumitree.core.device import on_device
 from lumitree.core.octahedral import octahedral
+from lumitree.core.results import Json
 from lumitree.exports.surfaces import geometry_meshes, meshed
+from lumitree.rendering.asset_images import vertex_radiance
 from lumitree.rendering.studio import portrait_half_width, studio_lights
-from lumitree.rendering.surface_radiance import vertex_radiance
-from lumitree.viewer.surfaces import SIDE, WRAPS, Kind, Patterns, Surface, page_surface
+from lumitree.viewer.surfaces import SIDE, WRAPS, Kind, PageSurface, Patterns, page_surface
 from lumitree.viewer.triangles import Triangles, smoothed
 
 # Codes of coordinates from -1 to 1, local units, and of octahedral coordinates of normals.
@@ -44,8 +46,8 @@ class PageModel:
             "surfaces".
     """
 
-    description: dict[str, Any]
-    arrays: dict[str, NDArray[Any]]
+    description: Json
+    arrays: Arrays
 
 
 def page_model(asset: Asset) -> PageModel:
@@ -55,7 +57,7 @@ def page_model(asset: Asset) -> PageModel:
     geometry = meshed(asset.geometry)
     asset = dataclasses.replace(asset, geometry=geometry)
     meshes = geometry_meshes(geometry, asset.frame.local_from_world)
-    rows: list[Surface] = []
+    rows: list[PageSurface] = []
     patterns = Patterns(geometry)
     triangles = Triangles(patterns)
     for shape, mesh in zip(geometry.shapes, meshes, strict=True):
@@ -118,8 +120,8 @@ def _sent_out(
     asset: Asset,
     vertices: NDArray[np.float32],
     pattern: NDArray[np.float32],
-    fronts: NDArray[Any],
-    backs: NDArray[Any],
+    fronts: NDArray[np.integer],
+    backs: NDArray[np.integer],
     lights: Mapping[str, Any] | None = None,
 ) -> NDArray[np.float32]:
     """Mean radiance [V, 6] that vertices send out at front and back, over the mean of a pattern."""
