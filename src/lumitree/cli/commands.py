@@ -397,7 +397,7 @@ def _render(given: Given) -> Any:
     from lumitree.core.arguments import check_sheet_output
     from lumitree.core.backend import load_rgb
     from lumitree.core.results import plain
-    from lumitree.rendering.saved_passes import forget_passes
+    from lumitree.rendering.render_job import forget_passes
 
     given = dict(given)
     output, places = given.pop("output"), _places(given)

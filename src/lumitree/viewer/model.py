@@ -20,7 +20,7 @@ from lumitree.core.results import Json
 from lumitree.exports.surfaces import geometry_meshes, meshed
 from lumitree.rendering.asset_images import vertex_radiance
 from lumitree.rendering.studio import portrait_half_width, studio_lights
-from lumitree.viewer.surfaces import SIDE, WRAPS, Kind, Patterns, Surface, page_surface
+from lumitree.viewer.surfaces import SIDE, WRAPS, Kind, PageSurface, Patterns, page_surface
 from lumitree.viewer.triangles import Triangles, smoothed
 
 # Codes of coordinates from -1 to 1, local units, and of octahedral coordinates of normals.
@@ -57,7 +57,7 @@ def page_model(asset: Asset) -> PageModel:
     geometry = meshed(asset.geometry)
     asset = dataclasses.replace(asset, geometry=geometry)
     meshes = geometry_meshes(geometry, asset.frame.local_from_world)
-    rows: list[Surface] = []
+    rows: list[PageSurface] = []
     patterns = Patterns(geometry)
     triangles = Triangles(patterns)
     for shape, mesh in zip(geometry.shapes, meshes, strict=True):
