@@ -93,7 +93,7 @@ def test_smooth_intensities_are_right_in_the_planes_of_a_diagram(power):
 
 
 def test_an_edge_of_the_light_does_not_ring(mi):
-    """100 cd below, dark above: no bin gets more, and the flux is that of a half sphere."""
+    """100 cd below, dark above: no bin gets more, and the flux is a half sphere's."""
     gamma = np.array([0.0, 90, 90.001, 180])
     lamp = IntensityDistribution("half", np.zeros(1), gamma, np.array([[100.0, 100, 0, 0]]))
     asset = bake_distribution(lamp)

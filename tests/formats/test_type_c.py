@@ -173,7 +173,7 @@ def test_no_number_that_is_not_finite_reaches_a_file(lumens):
     ],
 )
 def test_symmetries_of_files(c, same):
-    """The completed distribution is that of the file at the mirrored angle."""
+    """The completed distribution equals the file's at the mirrored angle."""
     gamma = np.array([0.0, 50, 180])
     values = np.random.default_rng(0).random((len(c), 3))
     if c[-1] - c[0] == 360:

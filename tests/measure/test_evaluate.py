@@ -84,7 +84,7 @@ def test_geometry_is_compared_where_there_is_no_field(mi, tmp_path):
 
 IRRADIANCE_PATHS = 1 << 20
 # Gains over black in dB, linear and mu-law, that a bake of seconds must have, some 2 dB below what
-# it has; and bounds on the irradiance of a face, relative to that of the explicit lamp: its mean,
+# it has; and bounds on the irradiance of a face, relative to the explicit lamp's: its mean,
 # and its RMS difference. Harmonics of band 2 are too smooth for light from panes of `portica`.
 FLOORS = {
     "arc": (1.2, 0.4, 0.10, 0.10),
@@ -106,7 +106,7 @@ def bake(mi, monkeypatch):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["bulbs", "dallas"])
 def test_a_room_receives_the_light_of_the_explicit_lamp(bake, name):
-    """What the method is for: the same irradiance on all sides, and on a table below."""
+    """The purpose of the method: the same irradiance on all sides, and on a table below."""
     error = evaluate_irradiance(bake(name), load_luminaire(name), IRRADIANCE_PATHS).error
     # Half a million light paths set the flux of these short bakes, to about 1 %.
     assert error.total_ratio == pytest.approx(1, abs=0.03)

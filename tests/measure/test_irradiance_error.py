@@ -44,7 +44,7 @@ def patch_points(face, count, half_extents=(1, 1, 1)):
 
 
 def z_scores(estimate, expected):
-    """Of each patch and channel; one that nothing reaches must be expected to be 0."""
+    """z-scores of patches and channels; a dark one must be expected to be dark."""
     error = estimate.batches.std(axis=0, ddof=1) / np.sqrt(len(estimate.batches))
     assert (estimate.mean[error == 0] == 0).all()
     return (estimate.mean - expected)[error > 0] / error[error > 0]
@@ -118,7 +118,7 @@ def test_errors_are_found_and_noise_is_not_taken_for_one(mi):
     same = irradiance_error(noisy(truth, 0.2), noisy(truth, 0.1))
     assert (np.abs(same.ratio - 1) < 5 * same.ratio_error).all()
     assert (same.rms < 0.05).all()
-    # What noise hides has an error all the same.
+    # A difference that noise hides has an error all the same.
     assert ((same.rms_error > 0.002) & (same.rms_error < 0.1)).all()
     assert (same.rms < 5 * same.rms_error).all()
     pattern = truth * (1.03 + 0.1 * np.sign(random.normal(size=(*truth.shape[:3], 1))))
