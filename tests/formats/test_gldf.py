@@ -183,7 +183,7 @@ def test_each_object_has_its_photometry_place_and_rotation(files):
 
 
 def test_luminous_faces_emit_the_flux(made):
-    """Luminous faces in the second of two groups; a face of half the weight has half the radiance."""
+    """Luminous faces of the second group; a face of half the weight has half the radiance."""
     text = obj(head="g first", faces=[*FACES[:2], "\ng second", *FACES[2:]])
     text = text.replace("f \ng second\n", "g second\n")
     # The lower face is face 1 of the second group, the next one is its right side.
