@@ -89,7 +89,7 @@ from .rendering.asset_cache import load as load
 from .rendering.mixture import MixResult as MixResult
 from .rendering.mixture import mix as mix
 from .rendering.placement import Placement as Placement
-from .rendering.placement_file import read_placements as read_placements
+from .rendering.placement import read_placements as read_placements
 from .rendering.register import register as register
 from .rendering.register import shape as shape
 from .rendering.render import RenderResult as RenderResult

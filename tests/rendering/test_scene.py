@@ -116,7 +116,7 @@ def test_an_asset_that_has_changed_is_read_again(mi, asset, loads):
 
 def test_an_interrupt_ends_a_render_after_the_pass(mi, monkeypatch):
     from lumitree.rendering import passes as module
-    from lumitree.rendering.integrators import default_integrator
+    from lumitree.rendering.scene import default_integrator
 
     rendered, render = [], mi.render
 

@@ -2,7 +2,7 @@
 
 Camera paths find the image of a filament in a glass wall only by chance. Light paths, which start
 at the filament, always find it. `LampRays` draws batches of them; an asset emits rays sampled from
-its emission (`lumitree.rendering.asset_rays`). Both implement `EmittedRays`, over which flux,
+its emission (`lumitree.rendering.asset_flux`). Both implement `EmittedRays`, over which flux,
 irradiance, photometry and bakes sum.
 
 Symbols

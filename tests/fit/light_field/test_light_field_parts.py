@@ -16,7 +16,6 @@ from lumitree.cli import main
 from lumitree.core.photometry import colour_temperature, luminance
 from lumitree.errors import LumitreeError
 from lumitree.fit.light_field import bake as light_field_bake
-from lumitree.fit.light_field.saved_field import LIGHT_FIELD_STATE
 from lumitree.lamp.luminaire import load_luminaire
 from support import tiny_bakes
 from support.fields import random_asset
@@ -98,7 +97,7 @@ def test_both_parts_and_their_refinement():
     """Each part is that of a bake of it alone, and `refine` keeps the light field."""
     both = lumitree.bake("lamp.xml", "both.lumitree", work="state")
     assert set(both.seconds) == {"light", "bake", "irradiance"}
-    assert LIGHT_FIELD_STATE in os.listdir("state")
+    assert "light.npz" in os.listdir("state")
     alone = lumitree.bake("lamp.xml", config=standard(parts=("light",))).asset
     assert_equal_fields(both.asset.light_field, alone.light_field)
     field = lumitree.bake("lamp.xml", config=standard(parts={"field"})).asset
@@ -352,7 +351,7 @@ def test_an_interrupted_bake_keeps_the_light_field(monkeypatch):
     assert not cut.complete
     assert cut.stopped_by == signal.SIGTERM
     assert cut.asset.light_field is not None
-    assert LIGHT_FIELD_STATE in os.listdir("lamp.work")
+    assert "light.npz" in os.listdir("lamp.work")
     monkeypatch.setattr(Refiner, "advance", advance)
     monkeypatch.setattr(light_field_bake, "LampRays", None)
     whole = lumitree.bake("lamp.xml", "lamp.lumitree")
@@ -376,7 +375,7 @@ def test_info_of_an_light_field_needs_no_llvm(tmp_path, monkeypatch, capsys):
     def refused():
         raise LumitreeError("no libLLVM")
 
-    monkeypatch.setattr("lumitree.rendering.asset_info.load_mitsuba", refused)
+    monkeypatch.setattr("lumitree.rendering.asset_cache.load_mitsuba", refused)
     assert main(["info", str(tmp_path / "lamp.lumitree")]) == 0
     assert "lumens" in capsys.readouterr().out
     lumitree.save(lamp, tmp_path / "field.lumitree")

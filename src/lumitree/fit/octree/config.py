@@ -274,17 +274,12 @@ class ScheduleConfig(_Settings):
         last_split: share of the budget after which none are.
         closing_calibrations: time reserved for what follows the descent, in units of the time that
             the last calibration took.
-        save_seconds: least number of seconds between two saved states.
-        save_time_factor: least number of seconds between two saved states, in units of the time
-            that saving the last one took.
     """
 
     score_interval: float = _setting(0.04, _INTERVAL)
     split_interval: float = _setting(0.15, _INTERVAL)
     last_split: float = _setting(0.65, _SHARE)
     closing_calibrations: float = _setting(2.5, (0.0, 1e6))
-    save_seconds: float = _setting(10.0, (0.0, 1e6))
-    save_time_factor: float = _setting(50.0, (0.0, 1e6))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

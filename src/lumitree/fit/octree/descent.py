@@ -24,6 +24,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.core.checkpoint import Arrays, Checkpoint
 from lumitree.core.device import on_device
 from lumitree.core.interruption import Interruption
 from lumitree.core.progress import progress
@@ -45,7 +46,6 @@ from lumitree.fit.octree.leaf_field import (
     gradients,
 )
 from lumitree.fit.octree.rays import RaySource
-from lumitree.fit.octree.saved_state import StateFile
 from lumitree.octree.build import child_cells
 
 
@@ -263,7 +263,7 @@ class Refiner:
         self._density_adam.take(index)
         self._coefficient_adam.take(wide)
 
-    def state(self) -> dict[str, NDArray[Any]]:
+    def state(self) -> Arrays:
         """The field and the state of the optimiser as arrays, for `restore`."""
         field, density, coefficients = self.field, self._density_adam, self._coefficient_adam
         return field.arrays() | {
@@ -364,11 +364,11 @@ class Descent:
         held_out: HeldOut,
         budget: Budget,
         config: OctreeConfig,
-        state_file: StateFile,
+        checkpoint: Checkpoint,
     ) -> None:
         self._refiner, self._source, self._max_radiance = refiner, source, max_radiance
         self._held_out, self._budget, self._config = held_out, budget, config
-        self._state_file = state_file
+        self._checkpoint = checkpoint
         self.best, self.best_score = best.copy(), held_out.score(best)
 
     def run(self, name: str, interruption: Interruption) -> None:
@@ -379,7 +379,6 @@ class Descent:
         """
         schedule = self._config.schedule
         done = self._budget.progress
-        saved, saving = time.monotonic(), 0.0
         with progress(name, 1.0, done) as advance:
             while done < 1 and not interruption:
                 self._budget.rays += self._refiner.advance(done)
@@ -387,12 +386,7 @@ class Descent:
                 self._restructure(before, done)
                 if _passes(schedule.score_interval, before, done):
                     self.keep_better(self._refiner.field)
-                pause = max(schedule.save_seconds, schedule.save_time_factor * saving)
-                if time.monotonic() - saved >= pause:
-                    start = time.monotonic()
-                    self.save()
-                    saved = time.monotonic()
-                    saving = saved - start
+                self._checkpoint.offer(self.state)
                 advance(
                     done - before, f"{self.best_score}, {self._refiner.field.num_leaves} leaves"
                 )
@@ -409,13 +403,18 @@ class Descent:
 
     def save(self) -> None:
         """Save the state."""
-        self._state_file.save(
-            self._refiner.state(),
-            self.best,
-            self._budget.seconds,
-            self._budget.rays,
-            self._max_radiance,
-        )
+        self._checkpoint.try_save(self.state())
+
+    def state(self) -> Arrays:
+        """The refiner's state, the best field, and what was spent, as arrays."""
+        spent = {"seconds": self._budget.seconds, "rays": self._budget.rays}
+        numbers = {**spent, "max_radiance": self._max_radiance}
+        best = {f"best_{name}": value for name, value in self.best.arrays().items()}
+        return {
+            **self._refiner.state(),
+            **best,
+            **{name: np.array(value) for name, value in numbers.items()},
+        }
 
     def _restructure(self, before: float, done: float) -> None:
         """When it is time, drop and calibrate leaves, and split some of them by one level."""
