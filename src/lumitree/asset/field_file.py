@@ -17,6 +17,7 @@ from lumitree.asset.array_stream import Arrays, Layout, compressed, decompressed
 from lumitree.asset.asset import MAX_DENSITY, Asset
 from lumitree.core.harmonics import MAX_L, num_coefficients
 from lumitree.core.reading import Record, expect
+from lumitree.core.results import Json
 from lumitree.errors import LumitreeError
 
 
@@ -51,19 +52,16 @@ def rounded_field(asset: Asset) -> Arrays:
     return field_of_codes(field_codes(asset))
 
 
-def field_tensors(asset: Asset) -> Arrays:
-    """Tensors of an asset's octree and field, by name."""
-    layouts = field_layouts(len(asset.children), asset.num_leaves, asset.l_max)
-    return {"field.stream": compressed(field_codes(asset), layouts)}
-
-
-def field_description(asset: Asset) -> dict[str, int]:
-    """Description of a field in the file, besides its tensor."""
-    return {"nodes": len(asset.children), "leaves": asset.num_leaves}
+def stored_field(asset: Asset) -> tuple[Arrays, Json]:
+    """Tensors of an asset's octree and field by name, and their description in the file."""
+    nodes, leaves = len(asset.children), asset.num_leaves
+    layouts = field_layouts(nodes, leaves, asset.l_max)
+    tensors = {"field.stream": compressed(field_codes(asset), layouts)}
+    return tensors, {"nodes": nodes, "leaves": leaves}
 
 
 def build_field(description: Record, l_max: int, tensors: Arrays) -> Arrays:
-    """`children`, `density` and `coefficients` of a file; the inverse of `field_tensors`."""
+    """`children`, `density` and `coefficients` of a file; the inverse of `stored_field`."""
     expect("asset", 0 <= l_max <= MAX_L, f"l_max {l_max!r}, expected 0 to {MAX_L}")
     description.expect_keys(*_KEYS)
     nodes, leaves = (description.integer(key) for key in _KEYS)
@@ -72,8 +70,7 @@ def build_field(description: Record, l_max: int, tensors: Arrays) -> Arrays:
             f"{nodes} nodes and {leaves} leaves, expected 1 to {_MAX_ROWS} and 0 to {_MAX_ROWS}"
         )
     layouts = field_layouts(nodes, leaves, l_max)
-    codes = decompressed(tensors["field.stream"], layouts, "the field")
-    return field_of_codes(codes)
+    return field_of_codes(decompressed(tensors["field.stream"], layouts, "the field"))
 
 
 def field_codes(asset: Asset, steps: Steps = STEPS) -> Arrays:

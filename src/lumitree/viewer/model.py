@@ -20,7 +20,7 @@ from lumitree.core.results import Json
 from lumitree.exports.surfaces import geometry_meshes, meshed
 from lumitree.rendering.asset_images import vertex_radiance
 from lumitree.rendering.studio import portrait_half_width, studio_lights
-from lumitree.viewer.surfaces import SIDE, WRAPS, Kind, Patterns, Surface, page_surface
+from lumitree.viewer.surfaces import SIDE, WRAPS, Kind, PageSurface, Patterns, page_surface
 from lumitree.viewer.triangles import Triangles, smoothed
 
 # Codes of coordinates from -1 to 1, local units, and of octahedral coordinates of normals.
@@ -57,7 +57,7 @@ def page_model(asset: Asset) -> PageModel:
     geometry = meshed(asset.geometry)
     asset = dataclasses.replace(asset, geometry=geometry)
     meshes = geometry_meshes(geometry, asset.frame.local_from_world)
-    rows: list[Surface] = []
+    rows: list[PageSurface] = []
     patterns = Patterns(geometry)
     triangles = Triangles(patterns)
     for shape, mesh in zip(geometry.shapes, meshes, strict=True):
@@ -97,9 +97,10 @@ def page_model(asset: Asset) -> PageModel:
             _PLACE_CODES,
         ],
     }
+    on_octahedron = np.array(octahedral(on_device(mi.Vector3f, normals)), np.float32)
     arrays = {
         "positions": _codes(vertices, _POSITION_CODES).astype(np.int32),
-        "normals": _codes(_on_octahedron(normals), _NORMAL_CODES).astype(np.int16),
+        "normals": _codes(on_octahedron.reshape(2, -1).T, _NORMAL_CODES).astype(np.int16),
         "places": np.rint(places * _PLACE_CODES).astype(np.int32),
         "light": _radiance_codes(light / largest),
         "soft": _radiance_codes(soft / largest_soft),
@@ -162,11 +163,6 @@ def _sent_out(
 def _codes(values: NDArray[np.floating], count: int) -> NDArray[np.floating]:
     """Integers from 0 to `count` - 1 of values from -1 to 1."""
     return np.rint((np.clip(values, -1, 1) + 1) / 2 * (count - 1))
-
-
-def _on_octahedron(normals: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Octahedral coordinates [V, 2]."""
-    return np.array(octahedral(on_device(mi.Vector3f, normals)), np.float32).reshape(2, -1).T
 
 
 def _radiance_codes(relative: NDArray[np.floating]) -> NDArray[np.int16]:

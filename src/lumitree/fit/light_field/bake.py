@@ -20,11 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.light_field import MAX_DEPTH, LightField, TracedPaths, make_light_field
-from lumitree.asset.light_field_file import (
-    build_light_field,
-    light_field_description,
-    light_field_tensors,
-)
+from lumitree.asset.light_field_file import build_light_field, stored_light_field
 from lumitree.core.checkpoint import Checkpoint
 from lumitree.core.executor import run_tasks
 from lumitree.core.files import json_text
@@ -122,8 +118,8 @@ def bake_light_field(
     bent = intensity * np.divide(bent, flux, out=bent, where=flux > 0)
     field = make_light_field(leaving.cells, intensity, depth, traced, bent=bent)
     field = dataclasses.replace(field, inside=light_inside(field, ending, seed))
-    description = np.array(json_text(light_field_description(field)))
-    checkpoint.try_save({"description": description, **light_field_tensors(field)})
+    tensors, description = stored_light_field(field)
+    checkpoint.try_save({"description": np.array(json_text(description)), **tensors})
     return field
 
 
