@@ -335,11 +335,7 @@ class PlacedLamp(PlacedAsset):
         """
         if self.attenuates or not self.samples_cells:
             return 0.0
-        return self._scale * self._cutoff_radius * (1 + 1e-4)
-
-    @property
-    def _cutoff_radius(self) -> float:
-        return _CUTOFF_RADIUS * float(np.linalg.norm(self.asset.frame.half_extents))
+        return self.sphere[1] * _CUTOFF_RADIUS * (1 + 1e-4)
 
     def light_inside(self) -> None:
         """Light objects in the box from now on, if cells are sampled."""

@@ -78,24 +78,18 @@ class Lamps:
     low: NDArray[np.float64]
     high: NDArray[np.float64]
 
-    def equals(self, other: Lamps) -> bool:
-        """Whether all members are equal."""
-        return all(
-            np.array_equal(getattr(self, field.name), getattr(other, field.name))
-            for field in dataclasses.fields(self)
-        )
-
 
 class LampChoices:
     """Keeps the tables of the last lamps, which an integrator needs for each pass."""
 
     def __init__(self) -> None:
-        self._last: tuple[Lamps, LampChoice] | None = None
+        self._last: tuple[list[bytes], LampChoice] | None = None
 
     def of(self, lamps: Lamps) -> LampChoice:
         """The choice among lamps."""
-        if self._last is None or not self._last[0].equals(lamps):
-            self._last = lamps, LampChoice(lamps)
+        numbers = [values.tobytes() for values in vars(lamps).values()]
+        if self._last is None or self._last[0] != numbers:
+            self._last = numbers, LampChoice(lamps)
         return self._last[1]
 
 

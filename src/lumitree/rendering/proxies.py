@@ -382,20 +382,16 @@ def _geometry(shape: mi.Shape) -> list[Any]:
 
 def _same(first: list[Any], second: list[Any]) -> bool:
     """Whether two lists of `_geometry` have the same numbers."""
-    return all(map(_equal, first, second))
 
+    def equal(a: Any, b: Any) -> bool:
+        # As `mitsuba.SceneParameters` compares them: arrays of equal index are one array, which is
+        # not changed as long as both refer to it.
+        if dr.detail.collect_indices(a) == dr.detail.collect_indices(b) != []:
+            return True
+        a, b = (getattr(each, "matrix", each) for each in (a, b))
+        return np.array_equal(np.array(a), np.array(b))
 
-def _equal(first: Any, second: Any) -> bool:
-    # Arrays of equal index are one array, which is not changed as long as both refer to it.
-    if _indices(first) == _indices(second) != []:
-        return True
-    first, second = (getattr(each, "matrix", each) for each in (first, second))
-    return np.array_equal(np.array(first), np.array(second))
-
-
-def _indices(value: Any) -> list[int]:
-    """Indices of the arrays of a value, as `mitsuba.SceneParameters` compares them."""
-    return dr.detail.collect_indices(value)
+    return all(map(equal, first, second))
 
 
 def box_tree(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.float64]:
