@@ -1,7 +1,7 @@
 """Assets in Mitsuba scenes: placement, images, passes.
 
 `scene.load_scene` reads rooms (files, dictionaries, `mi.Scene`), `integrators` chooses the
-integrator, `render` returns images as arrays, and `saved_image` writes them. Assets are opened by
+integrator, `render` returns images as arrays, and `image` writes and mixes them. Assets are opened by
 `asset_cache`, and `device` has their copies on the device.
 
 The plugins of Mitsuba, which `register` registers: `shapes` makes the proxy of a lamp and, where
