@@ -130,9 +130,14 @@ def _surface_data(
 
 
 def _filled(description: Json, arrays: Arrays) -> str:
-    template = (_FILES / "lamp_script.py").read_text("utf-8")
-    head, tail = template.split("@@DATA@@")
-    return head + _block(description, arrays) + tail
+    """The script with an archive of NumPy in base64, in lines."""
+    text = json_text(description).encode()
+    content = io.BytesIO()
+    np.savez_compressed(content, description=np.frombuffer(text, np.uint8), **arrays)  # type: ignore[arg-type]
+    coded = base64.b64encode(content.getvalue()).decode("ascii")
+    lines = [coded[start : start + _LINE] for start in range(0, len(coded), _LINE)]
+    head, tail = (_FILES / "lamp_script.py").read_text("utf-8").split("@@DATA@@")
+    return "\n".join([head, *lines, tail])
 
 
 def _light_data(asset: Asset, points: PlacedLights) -> tuple[Json, Arrays]:
@@ -158,16 +163,6 @@ def _light_data(asset: Asset, points: PlacedLights) -> tuple[Json, Arrays]:
     if np.isfinite(temperature):
         description["temperature"] = temperature
     return description, {"tables": relative.astype(np.float16)}
-
-
-def _block(description: Json, arrays: Arrays) -> str:
-    """An archive of NumPy in base64, in lines."""
-    text = json_text(description).encode()
-    content = io.BytesIO()
-    np.savez_compressed(content, description=np.frombuffer(text, np.uint8), **arrays)  # type: ignore[arg-type]
-    coded = base64.b64encode(content.getvalue()).decode("ascii")
-    lines = [coded[start : start + _LINE] for start in range(0, len(coded), _LINE)]
-    return "\n" + "\n".join(lines) + "\n"
 
 
 def table_directions(height: int) -> NDArray[np.float64]:
@@ -253,8 +248,10 @@ def find_blender(program: str | os.PathLike[str] | None) -> str:
                 f"{shown(program, 200)} is not a program; expected Blender, or a Python with bpy"
             )
         return found
-    found = shutil.which("blender") or _installed()
-    if found is not None:
+    installed = [name for pattern in _PLACES for name in glob.glob(os.path.expandvars(pattern))]
+    # The newest by the numbers in its path: 4.10 is newer than 4.2.
+    installed.sort(key=lambda name: [int(each) for each in re.findall(r"\d+", name)])
+    if found := shutil.which("blender") or next(reversed(installed), None):
         return found
     if importlib.util.find_spec("bpy") is not None:
         return sys.executable
@@ -262,17 +259,6 @@ def find_blender(program: str | os.PathLike[str] | None) -> str:
         "no Blender was found to write the file; name it with --blender, put it on PATH, or "
         "write a .py file, which runs in any Blender"
     )
-
-
-def _installed() -> str | None:
-    """The Blender that an installer put where it does, and not on the search path."""
-    found = [name for pattern in _PLACES for name in glob.glob(os.path.expandvars(pattern))]
-    return max(found, key=_numbers, default=None)
-
-
-def _numbers(name: str) -> list[int]:
-    """Numbers in a path, by which the newest Blender is found: 4.10 is newer than 4.2."""
-    return [int(each) for each in re.findall(r"\d+", name)]
 
 
 def run_script(

@@ -97,9 +97,10 @@ def page_model(asset: Asset) -> PageModel:
             _PLACE_CODES,
         ],
     }
+    on_octahedron = np.array(octahedral(on_device(mi.Vector3f, normals)), np.float32)
     arrays = {
         "positions": _codes(vertices, _POSITION_CODES).astype(np.int32),
-        "normals": _codes(_on_octahedron(normals), _NORMAL_CODES).astype(np.int16),
+        "normals": _codes(on_octahedron.reshape(2, -1).T, _NORMAL_CODES).astype(np.int16),
         "places": np.rint(places * _PLACE_CODES).astype(np.int32),
         "light": _radiance_codes(light / largest),
         "soft": _radiance_codes(soft / largest_soft),
@@ -162,11 +163,6 @@ def _sent_out(
 def _codes(values: NDArray[np.floating], count: int) -> NDArray[np.floating]:
     """Integers from 0 to `count` - 1 of values from -1 to 1."""
     return np.rint((np.clip(values, -1, 1) + 1) / 2 * (count - 1))
-
-
-def _on_octahedron(normals: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Octahedral coordinates [V, 2]."""
-    return np.array(octahedral(on_device(mi.Vector3f, normals)), np.float32).reshape(2, -1).T
 
 
 def _radiance_codes(relative: NDArray[np.floating]) -> NDArray[np.int16]:

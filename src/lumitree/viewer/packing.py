@@ -82,10 +82,13 @@ def pack_asset(asset: Asset) -> PackedAsset:
         Layout(name, array.dtype, array.shape, planes=name in in_planes)
         for name, array in arrays.items()
     ]
+    # Subjects of the page's images.
+    subjects = ["model"] * (model is not None) + ["field"] * has_field
+    shown = " and ".join(subjects) or "light field"
     description = {
         "luminaire": asset.luminaire,
         "bytes": asset.num_bytes,
-        "shown": _shown(model is not None, has_field),
+        "shown": shown,
         "has_field": has_field,
         "view": view,
         "half_extents": asset.frame.half_extents.tolist(),
@@ -109,11 +112,6 @@ def pack_asset(asset: Asset) -> PackedAsset:
     }
     block = base64.b64encode(compressed(arrays, layouts).tobytes()).decode()
     return PackedAsset(description, block)
-
-
-def _shown(has_model: bool, has_field: bool) -> str:
-    """Subjects of the page's images."""
-    return " and ".join(["model"] * has_model + ["field"] * has_field) or "light field"
 
 
 def _field(asset: Asset, steps: Steps) -> tuple[Json, Arrays]:

@@ -118,10 +118,11 @@ def page_surface(geometry: AssetGeometry, shape: Shape, scale: float) -> PageSur
     found = _traced(pbr, isinstance(material, MetallicRoughness))
     if found is None:
         return baked
-    inside, outside = (
-        (0.0, 0.0, 0.0) if each is None else _rgb(np.array(each.absorption) * scale)
+    media = (
+        (0.0, 0.0, 0.0) if each is None else each.scaled(1 / scale).absorption
         for each in (shape.interior, shape.exterior)
     )
+    inside, outside = media
     return dataclasses.replace(
         found,
         has_back=found.has_back or two_sided,
@@ -168,11 +169,6 @@ def _has_back(material: Material) -> bool:
     if isinstance(material, TwoSided) or thin or transmits(material):
         return True
     return any(map(_has_back, material.nested))
-
-
-def _rgb(values: NDArray[np.float64]) -> RGB:
-    red, green, blue = values.tolist()
-    return (red, green, blue)
 
 
 class Patterns:
