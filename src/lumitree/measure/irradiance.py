@@ -235,7 +235,7 @@ def luminaire_irradiance(luminaire: "Luminaire", num_paths: int, *, seed: int = 
 
 def asset_irradiance(asset: Asset, num_rays: int, *, seed: int = 0) -> Irradiance:
     """Irradiance that a baked luminaire causes, by rays sampled from its emission."""
-    from lumitree.rendering.asset_rays import AssetRays
+    from lumitree.rendering.asset_flux import AssetRays
 
     return rays_irradiance(AssetRays(asset), asset.frame.half_extents, num_rays, seed=seed)
 

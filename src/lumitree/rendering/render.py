@@ -14,18 +14,18 @@ from numpy.typing import NDArray
 
 from lumitree.core.arguments import check_image_settings, check_items, check_range, metres_of
 from lumitree.core.backend import in_turn, load_mitsuba
+from lumitree.core.checkpoint import Checkpoint
 from lumitree.core.executor import check_executor
 from lumitree.core.files import FilePath, WorkFolder
 from lumitree.core.images import check_exr_name, encode_png, image_settings, write_exr
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.results import Stopwatch
 from lumitree.core.seeds import check_seed
-from lumitree.core.view_transform import View, check_view, displayed, room_exposure
 from lumitree.errors import LumitreeError, explained
+from lumitree.rendering.image import SavedImage
 from lumitree.rendering.placement import Placement
 from lumitree.rendering.render_job import Described, RenderJob, renderer_of
-from lumitree.rendering.saved_image import SavedImage
-from lumitree.rendering.saved_passes import SavedPasses
+from lumitree.rendering.view_transform import View, check_view, displayed, room_exposure
 
 if TYPE_CHECKING:
     from lumitree.rendering.layers import Recorded
@@ -260,7 +260,8 @@ def render(
             shown, saved = None if so_far is None else show, None
             if work is not None:
                 identity = job.identity(seed)
-                saved = SavedPasses(stack.enter_context(WorkFolder(work)).path, identity)
+                folder = stack.enter_context(WorkFolder(work)).path
+                saved = Checkpoint(folder / "passes.npz", identity, "image")
             rendering, recorded = job.rendered(budget, seed, shown, renderer, saved)
     pixels = noisy = rendering.radiance
     if recorded is not None and denoise:

@@ -1,4 +1,4 @@
-"""Scenes with luminaires placed in them."""
+"""Scenes with luminaires placed in them, their integrators, and the views of their cameras."""
 
 from __future__ import annotations
 
@@ -25,16 +25,21 @@ from lumitree.lamp.source import LuminaireSource
 from lumitree.rendering.asset_cache import open_asset
 from lumitree.rendering.asset_flux import asset_watts, gain_to
 from lumitree.rendering.emitter import Appearance, Sampling, shows_geometry
-from lumitree.rendering.integrators import integrator_for
 from lumitree.rendering.layers import records_layers
 from lumitree.rendering.objects import load_ordered
 from lumitree.rendering.placement import Placement
-from lumitree.rendering.placement_checks import holds_objects, warn_of_overlaps
+from lumitree.rendering.placement_checks import contains_objects, warn_of_overlaps
 from lumitree.rendering.register import register, shape
 
 # `volpath` starts rays (1 + largest coordinate) * RayEpsilon from surfaces. Where that is this part
 # of a lamp's size, the irradiance 0.7 sizes below it is 1 % too high; at 3 times this part, 4 %.
 _FAR_FOR_VOLPATH = 0.09
+# Classes of `volpath` and `volpathmis`, which take the transmittance of null surfaces for shadow
+# rays, and render media.
+_SEE_MEDIA = ("VolumetricPathIntegrator", "VolpathMisIntegratorImpl")
+# These become `lumitree_path`, or `volpath` where media are heterogeneous.
+_PATH_TRACERS = ("path", "lumitree_path")
+_DEFAULT_PATH_DEPTH = 16
 
 
 class PlacedLuminaire:
@@ -254,6 +259,45 @@ def load_scene(
     return scene, integrator
 
 
+def integrator_for(
+    scene: mi.Scene, described: mi.Properties | None, title: str, *, heterogeneous: bool
+) -> mi.Integrator:
+    """The integrator of a scene, or its replacement, which sees through null surfaces.
+
+    `described` is None where the scene has none, or one whose settings cannot be read.
+    """
+    tracer, given = _path_tracer(heterogeneous), scene.integrator()
+    kind = described.plugin_name() if described is not None else None
+    if given is not None and given.class_name() in _SEE_MEDIA:
+        return given
+    if described is not None and kind in _PATH_TRACERS:
+        described.set_plugin_name(tracer)
+        return mi.PluginManager.instance().create_object(described)
+    if given is not None and records_layers(given) and not heterogeneous:
+        return given
+    found = f"integrator {kind!r}" if kind else "no integrator"
+    if described is None and given is not None:
+        found = f"the integrator {given.class_name()}, which is created already"
+    warnings.warn(
+        f"{title} has {found}; using {tracer} with max_depth {_DEFAULT_PATH_DEPTH}",
+        LumitreeWarning,
+        stacklevel=3,
+    )
+    return default_integrator(heterogeneous=heterogeneous)
+
+
+def default_integrator(
+    path_depth: int = _DEFAULT_PATH_DEPTH, *, heterogeneous: bool = False
+) -> mi.Integrator:
+    """Integrator for scenes that name none."""
+    register()
+    return mi.load_dict({"type": _path_tracer(heterogeneous), "max_depth": path_depth})
+
+
+def _path_tracer(heterogeneous: bool) -> str:
+    return "volpath" if heterogeneous else "lumitree_path"
+
+
 def _check_size(film: mi.Film, title: str) -> None:
     """Refuse a film of no pixels, or of more than memory is likely to hold."""
     width, height = (int(each) for each in film.crop_size())
@@ -398,7 +442,7 @@ def _warn_far(placed: PlacedLuminaire) -> None:
 
 def _warn_unlit_by_volpath(scene: mi.Scene, placed: PlacedLuminaire) -> None:
     """Warn of objects in a lamp's box, which `volpath` does not light."""
-    if holds_objects(scene.shapes(), placed.scene_from_box[None])[0]:
+    if contains_objects(scene.shapes(), placed.scene_from_box[None])[0]:
         warnings.warn(
             f"{placed.title}: an object of the room is inside its box, where volpath does not "
             "light it; lumitree_path does",
@@ -419,7 +463,7 @@ def _warn_unlit(scene: mi.Scene, luminaires: Sequence[PlacedLuminaire], sampling
     if not causes:
         return
     boxes = np.stack([placed.scene_from_box for placed in causes])
-    inside = holds_objects(scene.shapes(), boxes)
+    inside = contains_objects(scene.shapes(), boxes)
     for (placed, cause), has_objects in zip(causes.items(), inside, strict=True):
         if has_objects:
             warnings.warn(
