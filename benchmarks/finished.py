@@ -178,8 +178,8 @@ def taken(job: Job, folder: Path) -> tuple[NDArray[np.float32], float]:
 
 def displayed_error(image: NDArray[np.floating], reference: NDArray[np.floating]) -> float:
     """`hdr_flip` of images [H, W, 3] exposed by the reference, and clipped as a display does."""
-    from lumitree.core.view_transform import room_exposure
     from lumitree.measure.metrics import hdr_flip
+    from lumitree.rendering.view_transform import room_exposure
 
     exposure = room_exposure(reference)
     shown, goal = (np.clip(exposure * each, 0, 1) for each in (image, reference))
@@ -205,8 +205,8 @@ def draw(
     reference: NDArray[np.float32],
 ) -> None:
     """Each method's image after about the baked one's time, beside the reference."""
-    from lumitree.core.drawing import write_strip
-    from lumitree.core.view_transform import room_exposure
+    from lumitree.rendering.drawing import write_strip
+    from lumitree.rendering.view_transform import room_exposure
 
     end, panels = methods[BASELINE]["seconds"], []
     for method in METHODS:
@@ -264,7 +264,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    from lumitree.rendering.denoise import check_denoiser
+    from lumitree.rendering.layers import check_denoiser
 
     check_denoiser()
     if unknown := sorted(set(options.scenes) - set(SCENES)):

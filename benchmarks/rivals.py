@@ -194,7 +194,7 @@ def table(row: dict[str, Any]) -> Table:
 
 def draw(path: Path, found: dict[str, Method], runs: dict[str, LongRun], seconds: float) -> None:
     """The images of all methods after about equally much CPU time, as one PNG."""
-    from lumitree.core.drawing import write_strip
+    from lumitree.rendering.drawing import write_strip
 
     clean = runs[BASELINES[0]].mean
     panels = []

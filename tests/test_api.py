@@ -114,13 +114,13 @@ def test_an_interrupted_network_bake_continues(mi, tiny_network, tmp_path, monke
             lumitree.bake("lamp.xml", "lamp.lumitree", method="network")
     assert not (tmp_path / "lamp.lumitree").exists()
     views = tmp_path / "lamp.work" / "dataset" / "view_000001.exr"
-    history = tmp_path / "lamp.work" / "run" / "history.json"
+    history = tmp_path / "lamp.work" / "run" / "run.npz"
     before = views.stat().st_mtime_ns, history.read_bytes()
     with monkeypatch.context() as patch:
         patch.setattr(WorkFolder, "remove", lambda *_: None)
         lumitree.bake("lamp.xml", "lamp.lumitree", method="network")
     assert (tmp_path / "lamp.lumitree").exists()
-    # Neither the views nor the training are repeated; the history has the time of each report.
+    # Neither the views nor the training are repeated.
     assert (views.stat().st_mtime_ns, history.read_bytes()) == before
 
 

@@ -23,7 +23,7 @@ LUMINAIRES = {
 }
 
 
-@pytest.mark.parametrize("name", LUMINAIRES)
+@pytest.mark.parametrize("name", slow_but(["little_lamp/luminaire_frosted.xml"], LUMINAIRES))
 def test_luminaires_are_captured(mi, tmp_path, name):
     from lumitree.lamp.luminaire import load_luminaire
 
@@ -77,7 +77,7 @@ REPEATED = pytest.mark.filterwarnings("ignore:.* faces repeat others")
 
 
 @REPEATED
-@pytest.mark.parametrize("folder", MODELS)
+@pytest.mark.parametrize("folder", slow_but(["megeon_chandelier"], MODELS))
 def test_obj_models_are_repaired_as_by_hand(mi, folder):
     """Concave polygons, repeated bulbs and pieces wound inwards all come out right."""
     from lumitree.lamp.importers.topology import count_solids
@@ -125,8 +125,9 @@ FILES = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::lumitree.errors.LumitreeWarning")
-@pytest.mark.parametrize("file", slow_but(["barn_lamp/AnisotropyBarnLamp.gltf"], FILES))
+@pytest.mark.parametrize("file", FILES)
 def test_models_load_with_their_overrides_and_shine(mi, file):
     from lumitree.core.photometry import flux_from_radiance
     from lumitree.lamp.importers.overrides import emitting_area

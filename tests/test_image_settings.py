@@ -27,8 +27,6 @@ def comment(path):
     if str(path).endswith(".exr"):
         return json.loads(read_comment(path))
     with Image.open(path) as image:
-        if image.format == "WEBP":
-            return json.loads(image.getexif()[0x010E])
         return json.loads(image.text["Comment"])
 
 

@@ -9,7 +9,9 @@ import sys
 
 import pytest
 
+import lumitree
 from lumitree.core.images import read_exr
+from support.exported_lamps import lamp
 from support.lamps import BALL, room
 
 
@@ -44,6 +46,17 @@ def bake_and_render(folder, **changes):
     figures = ["photometry", "lamp.lumitree", "-o", "lamp.ies", "--step", "30"]
     results.append(run(folder, *figures, **changes))
     return results
+
+
+@pytest.mark.skipif(os.name == "nt", reason="it has no C locale")
+@pytest.mark.parametrize("arguments", [["render", "--help"], ["info", "lamp.lumitree"]])
+def test_output_in_the_c_locale(tmp_path, arguments):
+    """Characters that ASCII lacks become question marks."""
+    lumitree.save(lamp("Größe ±"), tmp_path / "lamp.lumitree")
+    locale = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONIOENCODING": None}
+    result = run(tmp_path, *arguments, **locale)
+    assert result.stdout.isascii()
+    assert result.stderr == ""
 
 
 @pytest.mark.slow

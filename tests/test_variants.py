@@ -76,6 +76,7 @@ def test_either_may_be_imported_first(first, variant):
         assert line == "registered llvm_ad_rgb"
 
 
+@pytest.mark.slow
 def test_variants_may_be_switched(lamp):
     """Under a scalar variant lumitree refuses, and works again when another one is set."""
     code = """
@@ -104,6 +105,7 @@ for variant in ("llvm_ad_rgb", "scalar_rgb", "llvm_ad_rgb", "scalar_rgb"):
     assert run(code, lamp) == vectorised + scalar + vectorised + scalar
 
 
+@pytest.mark.slow
 def test_a_variant_that_is_named_is_set_and_one_that_cannot_start_changes_nothing(tmp_path):
     scene = '<scene version="3.0.0"><shape type="sphere"><emitter type="area"/></shape></scene>'
     Path(tmp_path / "lamp.xml").write_text(scene)

@@ -20,7 +20,7 @@ CHECKED = [
     *("docs", "benchmarks", "examples", "integrations", "tools"),
     # Packages of the library, until all of them are checked.
     *(f"src/lumitree/{each}" for each in ("asset", "core", "demo.py", "errors.py", "exports")),
-    *(f"src/lumitree/{each}" for each in ("lamp", "many", "viewer")),
+    *(f"src/lumitree/{each}" for each in ("formats", "lamp", "many", "viewer")),
 ]
 EXCLUDED = ("docs/_build", "docs/generated", "benchmarks/results")
 SUFFIXES = (".py", ".md", ".ipynb")

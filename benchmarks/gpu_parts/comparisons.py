@@ -94,8 +94,8 @@ def _images(sizes: Sizes, assets: Path, seed: int) -> Batches:
     from benchmarks.common.demo_lamps import placed
     from lumitree.asset.file import load
     from lumitree.rendering.demo_room import demo_room
-    from lumitree.rendering.integrators import default_integrator
     from lumitree.rendering.passes import Budget, render_passes
+    from lumitree.rendering.scene import default_integrator
 
     sources: dict[str, Any] = {}
     for lamp in sizes.lamps:

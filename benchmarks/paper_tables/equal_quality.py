@@ -5,7 +5,6 @@ Methods, each with all of what the one before it has:
 * explicit: the lamp itself, path traced; the reference is its long run;
 * proxy: as the paper: an octree of density and harmonics, directions sampled uniformly over the
   proxy, thresholds σ_min = 0.1 and α_max = 0.9;
-* leaves: directions sampled in proportion to the emission, exact traversal;
 * divided: illumination by the light field, appearance by the lamp's geometry (by the field
   for lamps with media).
 
@@ -54,7 +53,6 @@ ROOMS = {
 }
 METHODS = {
     "proxy": "the paper: uniform over the proxy, thresholds",
-    "leaves": "importance sampling of leaves, exact traversal",
     "divided": "light field, geometry as appearance",
 }
 COARSER = (12.0, 25.0)
@@ -66,8 +64,7 @@ REFERENCES = {
 PARTS = {"whole": "whole image", "beside": "beside the lamp"}
 _LABELS = {
     "proxy": "the paper's way",
-    "leaves": "+ importance\nsampling",
-    "divided": "+ illumination and\nappearance divided",
+    "divided": "illumination and\nappearance divided",
 }
 _DPI = 110
 # Where the paper's own figures are.
@@ -137,7 +134,6 @@ def _methods(pair: Pair, field: Path, work: Work) -> dict[str, Method]:
     return {
         "explicit": Method(pair, False, equal, cache),
         "proxy": Method(alone, True, equal, cache, Way("uniform", 0.1, 0.9)),
-        "leaves": Method(alone, True, equal, cache),
         "divided": Method(pair, True, equal, cache),
     }
 
@@ -197,8 +193,11 @@ def section(found: Found) -> str:
     text += f"At coarser levels:\n\n{_coarser(found)}\n"
     if draw_ladder(found):
         text += found.image("page", "ladder", "Speed-up over the explicit lamp, by method")
-    text += "Reference, explicit, the paper's way, importance sampling, divided; below, the middle "
-    text += "of each. First in about equal time, then at about the paper's RMSE.\n\n"
+    text += "Reference, explicit, the paper's way, divided; below, the middle of each. First in "
+    text += (
+        "about equal time, then at about the paper's RMSE. Images of commits up to 5a6685d also "
+    )
+    text += "show importance sampling of the octree's leaves, before the last column.\n\n"
     return text + "".join(
         found.image(f"5-{lamp}", name, f"{lamp}, equal {name}")
         for lamp in LAMPS

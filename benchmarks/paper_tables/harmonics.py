@@ -64,7 +64,7 @@ def measure(work: Work, l_max: int, method: str) -> Measured:
 
 def view_seconds(asset: Built, dataset: Dataset) -> float:
     """CPU seconds of a view of 16 rays a pixel; the first, which compiles, does not count."""
-    from lumitree.rendering.asset_views import baked_view
+    from lumitree.rendering.asset_images import baked_view
 
     opened, frames = load(asset.path), dataset.manifest.frames
     seconds = []

@@ -74,8 +74,7 @@ def denoised_image(
     image: NDArray[np.floating], albedo: NDArray[np.float32], normal: NDArray[np.float32]
 ) -> NDArray[np.float32]:
     """An image [H, W, 3] filtered as a whole."""
-    from lumitree.rendering.denoise import denoised
-    from lumitree.rendering.layers import Recorded
+    from lumitree.rendering.layers import Recorded, denoised
 
     lit = np.ascontiguousarray(image, np.float32)[None]
     none = np.zeros_like(lit)

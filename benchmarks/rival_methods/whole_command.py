@@ -63,8 +63,7 @@ class Job:
 def image(job: Job) -> NDArray[np.float32]:
     """The denoised image [H, W, 3], W/(m² sr)."""
     mi = load_mitsuba(job.variant)
-    from lumitree.rendering.denoise import denoised
-    from lumitree.rendering.layers import Layers, recording
+    from lumitree.rendering.layers import Layers, denoised, recording
     from lumitree.rendering.passes import Budget, render_passes
     from lumitree.rendering.placement import Placement
     from lumitree.rendering.scene import load_scene, open_placements, place_luminaires

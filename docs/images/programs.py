@@ -251,7 +251,7 @@ PROGRAMS = (
 
 def main(asset_path: str, kept: Path) -> None:
     import lumitree
-    from lumitree.core.drawing import write_strip
+    from lumitree.rendering.drawing import write_strip
 
     load_mitsuba()
     asset = lumitree.load(asset_path)

@@ -74,10 +74,10 @@ def run(
 def _render_room(output: Path, asset: str, seconds: float) -> dict[str, RenderResult]:
     """Render the room with both lamps in equal time, and write the images."""
     load_rgb()
-    from lumitree.core.drawing import write_strip
-    from lumitree.core.view_transform import room_exposure
     from lumitree.rendering.demo_room import demo_room, lamp
-    from lumitree.rendering.denoise import check_denoiser
+    from lumitree.rendering.drawing import write_strip
+    from lumitree.rendering.layers import check_denoiser
+    from lumitree.rendering.view_transform import room_exposure
 
     try:
         check_denoiser()

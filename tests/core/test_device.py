@@ -1,5 +1,9 @@
 """NumPy arrays on the device."""
 
+import dataclasses
+import gc
+import weakref
+
 import numpy as np
 import pytest
 
@@ -32,3 +36,47 @@ def test_kernels_do_not_depend_on_where_numpy_puts_an_array(mi):
 
     copies = [on_device(mi.Float, np.arange(count)).numpy() for count in range(1, 40)]
     assert [copy.ctypes.data % 64 for copy in copies] == [0] * len(copies)
+
+
+def test_shared_data_are_made_once_and_live_as_long_as_their_owner(mi):
+    """Also if making one makes it again meanwhile: the first copy is kept."""
+    from lumitree.core.device import shared
+
+    class Owner:
+        pass
+
+    owners = [Owner(), Owner()]
+    inner = []
+
+    def make():
+        if not inner:
+            inner.append(None)
+            inner.append(shared(owners[0], "light", lambda: [1]))
+        return [2]
+
+    made = shared(owners[0], "light", make)
+    assert made is inner[1] == [1]
+    assert shared(owners[0], "light", make) is made
+    assert shared(owners[0], "field", lambda: [3]) == [3]
+    assert shared(owners[1], "light", lambda: [4]) == [4]
+    owner = weakref.ref(owners[0])
+    owners.clear()
+    gc.collect()
+    assert owner() is None
+
+
+def test_the_copies_of_an_asset_do_not_keep_it(mi):
+    """Its field, light and tables."""
+    from lumitree.rendering.device import DeviceAsset
+    from support.fields import random_asset
+    from support.light_fields import random_light_field
+
+    asset = dataclasses.replace(random_asset(0), light_field=random_light_field(0))
+    device = DeviceAsset(asset)
+    assert device.field is device.field
+    assert device.stored_light(False).table is device.stored_light(False).table
+    assert DeviceAsset(asset).inside_light(False) is device.inside_light(False)
+    owner = weakref.ref(asset)
+    del asset, device
+    gc.collect()
+    assert owner() is None

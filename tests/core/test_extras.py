@@ -12,7 +12,7 @@ from support.lamps import BALL, room
 
 TESTS = Path(__file__).parents[1]
 LINE = (
-    "the network needs packages that are not installed (jax, flax, optax, orbax-checkpoint); "
+    "the network needs packages that are not installed (jax, flax, optax); "
     "install them with `pip install 'lumitree[network]'`"
 )
 HIDE = """
@@ -20,7 +20,7 @@ import sys
 
 class Hider:
     def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] in ("jax", "jaxlib", "flax", "optax", "orbax"):
+        if name.partition(".")[0] in ("jax", "jaxlib", "flax", "optax"):
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
 sys.meta_path.insert(0, Hider())
@@ -40,7 +40,7 @@ for module in pkgutil.walk_packages(lumitree.__path__, "lumitree."):
 import lumitree.fit.network.config
 for name in lumitree.__all__:
     getattr(lumitree, name)
-print(sorted({"jax", "jaxlib", "flax", "optax", "orbax"} & set(sys.modules)))
+print(sorted({"jax", "jaxlib", "flax", "optax"} & set(sys.modules)))
 """
 
 

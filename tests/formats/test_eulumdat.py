@@ -125,7 +125,7 @@ def test_a_light_output_ratio_that_disagrees_is_said(tmp_path):
     ],
 )
 def test_luminous_areas_are_read_and_written(tmp_path, size, heights, opening):
-    """The length is along C = 90; a width of 0 is that of a round area."""
+    """The length is along C = 90; a width of 0 means a round area."""
     lamp = read(tmp_path, text_of(0, intensities(24), size=size, heights=heights))
     assert lamp.opening == opening
     write_ldt(tmp_path / "again.ldt", lamp)
@@ -139,7 +139,7 @@ def test_heights_above_the_sides_are_refused():
 
 @pytest.mark.parametrize("step", [1, 2.5, 10, 12])
 def test_the_downward_fraction_is_that_below_the_horizon(step):
-    """Of a source that is even, and of one of which all light goes down; also between nodes."""
+    """An even source, and one that emits only downwards; also between nodes."""
     gamma = np.arange(0, 180 + step, step).clip(0, 180)
     even = IntensityDistribution("", np.zeros(1), gamma, np.ones((1, len(gamma))))
     assert ldt_of(even).header.dff == pytest.approx(50, abs=0.01)

@@ -93,7 +93,7 @@ def test_smooth_intensities_are_right_in_the_planes_of_a_diagram(power):
 
 
 def test_an_edge_of_the_light_does_not_ring(mi):
-    """100 cd below, dark above: no bin gets more, and the flux is that of a half sphere."""
+    """100 cd below, dark above: no bin gets more, and the flux is a half sphere's."""
     gamma = np.array([0.0, 90, 90.001, 180])
     lamp = IntensityDistribution("half", np.zeros(1), gamma, np.array([[100.0, 100, 0, 0]]))
     asset = bake_distribution(lamp)
@@ -158,9 +158,9 @@ def test_near_an_opening(mi, tmp_path, opening, power, point, exact):
         radius = np.sqrt((np.arange(4000) + 0.5) / 4000) * RADIUS
         exact = np.mean(100 * point[0] / (point[0] ** 2 + radius**2) ** 1.5)
     lamp, normal = lumitree.shape(path), [-x for x in point]
-    found, error = irradiance(mi, {"lamp": lamp}, point, normal, samples=1 << 18)
+    found, error = irradiance(mi, {"lamp": lamp}, point, normal, samples=1 << 16)
     lux, noise = luminance(found), luminance(error)
-    assert noise < 0.004 * exact
+    assert noise < 0.008 * exact
     # The first point is nearer to the sphere than a cell is wide.
     assert lux == pytest.approx(exact, rel=0.05 if exact > 1000 else 0.025)
 

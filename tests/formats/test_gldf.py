@@ -20,8 +20,8 @@ from lumitree.formats.opening import Opening
 from lumitree.formats.reading import Archive
 from lumitree.formats.type_c import Grid, IntensityDistribution
 from lumitree.lamp.source import LuminaireSource, gldf_variant, source_kind
+from lumitree.rendering.asset_cache import asset_report
 from lumitree.rendering.asset_flux import asset_lumens
-from lumitree.rendering.asset_info import asset_report
 from support.gldf_files import (
     FACES,
     FILES,
@@ -111,7 +111,7 @@ def test_the_light_is_that_of_the_file_and_starts_on_the_object(files):
     # On average light passes through the middle of the lower face, whatever its direction.
     down = directions[:, 1] < -0.5
     passed = mean[down] - directions[down] * (mean[down, 1] / directions[down, 1])[:, None]
-    # Of a cell of 16 mm: directions of a coarse bin share their starts.
+    # In a cell of 16 mm: directions of a coarse bin share their starts.
     assert np.abs(passed).max() < 5e-3
 
 
@@ -183,7 +183,7 @@ def test_each_object_has_its_photometry_place_and_rotation(files):
 
 
 def test_luminous_faces_emit_the_flux(made):
-    """Of two groups, in the second; a face of half the weight has half the radiance."""
+    """Luminous faces of the second group; a face of half the weight has half the radiance."""
     text = obj(head="g first", faces=[*FACES[:2], "\ng second", *FACES[2:]])
     text = text.replace("f \ng second\n", "g second\n")
     # The lower face is face 1 of the second group, the next one is its right side.

@@ -8,6 +8,8 @@ import pytest
 from PIL import Image
 
 from lumitree.errors import LumitreeError, LumitreeWarning
+from lumitree.formats import l3d as l3d_module
+from lumitree.formats import reading
 from lumitree.formats.gldf import bake_gldf
 from lumitree.formats.reading import Archive, parse_xml
 from lumitree.formats.tm33 import read_tm33
@@ -62,29 +64,33 @@ def test_other_methods_of_compression_are_refused(method):
 def test_a_member_is_refused_by_the_size_that_it_states(monkeypatch):
     unpacked = []
     monkeypatch.setattr(zipfile.ZipExtFile, "read", lambda *_: unpacked.append(1))
-    with pytest.raises(LumitreeError, match=r"is too large: 300 MiB, of which 256 MiB would be"):
-        bake_gldf(gldf(xml=b" " * (300 * MIB)))
+    monkeypatch.setattr(reading, "_MAX_UNPACKED", 2 * MIB)
+    with pytest.raises(LumitreeError, match=r"is too large: 3 MiB, of which 2 MiB would be"):
+        bake_gldf(gldf(xml=b" " * (3 * MIB)))
     assert not unpacked
 
 
 def test_a_list_of_members_is_counted_before_it_is_read(monkeypatch):
-    content = zipped({f"{i}": b"" for i in range(1 << 14)} | {"last": b""})
+    content = zipped({f"{i}": b"" for i in range(64)} | {"last": b""})
     monkeypatch.setattr(zipfile, "ZipFile", None)
-    with pytest.raises(LumitreeError, match=r"a has 16385 members; at most 16384 are read"):
+    monkeypatch.setattr(reading, "_MAX_MEMBERS", 64)
+    with pytest.raises(LumitreeError, match=r"a has 65 members; at most 64 are read"):
         Archive(content, "a", "an archive")
 
 
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"<a>" + b" " * (33 * MIB) + b"</a>", "larger than 32 MiB"),
-        (b"<a>" + b"<b/>" * (1 << 19) + b"</a>", "more than 524288 elements"),
-        (b"<a " + b'b="" ' * ((1 << 20) + 1) + b"/>", "more than 1048576 attributes"),
+        (b"<a>" + b" " * (2 * MIB) + b"</a>", "larger than 1 MiB"),
+        (b"<a>" + b"<b/>" * 512 + b"</a>", "more than 512 elements"),
+        (b"<a " + b'b="" ' * 1025 + b"/>", "more than 1024 attributes"),
         (b"<a>" * 300 + b"</a>" * 300, "more than 256 deep"),
         (b'<!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>', "declares XML entities"),
     ],
 )
-def test_limits_of_xml(content, message):
+def test_limits_of_xml(monkeypatch, content, message):
+    for name, value in (("MAX_XML_BYTES", MIB), ("_MAX_ELEMENTS", 512), ("_MAX_ATTRIBUTES", 1024)):
+        monkeypatch.setattr(reading, name, value)
     with pytest.raises(LumitreeError, match=message):
         parse_xml(content, "x", "a file")
 
@@ -95,31 +101,35 @@ PARTS = part(light(), surface())
 @pytest.mark.parametrize(
     ("model", "message"),
     [
-        (obj() + "\n" * (33 * MIB), "too large: 33 MiB, of which 32 MiB"),
-        (obj() + "f 1 2 3\n" * (1 << 20), "more than 1048576 lines"),
-        (obj() + ("f" + " 1 2 3" * 300 + "\n") * 2400, "or 2097152 corners of faces"),
+        (obj() + "\n" * (3 * MIB), "too large: 3 MiB, of which 2 MiB"),
+        (obj() + "f 1 2 3\n" * 1024, "more than 1024 lines"),
+        (obj() + ("f" + " 1 2 3" * 300 + "\n") * 6, "or 4096 corners of faces"),
     ],
 )
-def test_limits_of_models(model, message):
+def test_limits_of_models(monkeypatch, model, message):
     """The light is there without them."""
+    for name, value in (("_MAX_OBJ_BYTES", 2 * MIB), ("_MAX_LINES", 1024), ("_MAX_CORNERS", 4096)):
+        monkeypatch.setattr(l3d_module, name, value)
     path = gldf(model=l3d(box_obj=model))
     with pytest.warns(LumitreeWarning, match=f"its light without its 3D model: .*{message}"):
         assert bake_gldf(path).geometry is None
 
 
-def test_pixels_of_images_are_counted_before_they_are_decoded():
-    """8192² black pixels are 200 kB of PNG, and 100 bytes of an archive in another one."""
+def test_pixels_of_images_are_counted_before_they_are_decoded(monkeypatch):
+    """Many black pixels are a few bytes of an archive in another one."""
+    monkeypatch.setattr(l3d_module, "_MAX_PIXELS", 1 << 12)
     image = io.BytesIO()
-    Image.new("L", (8192, 8192)).save(image, "PNG")
+    Image.new("L", (128, 128)).save(image, "PNG")
     mtl = "newmtl a\nmap_Kd a.png\n"
     model = l3d(box_obj=obj(head="mtllib a.mtl\nusemtl a"), a_mtl=mtl, a_png=image.getvalue())
-    with pytest.warns(LumitreeWarning, match="its images have more than 16777216 pixels"):
+    with pytest.warns(LumitreeWarning, match="its images have more than 4096 pixels"):
         assert bake_gldf(gldf(model=model)).geometry is None
 
 
-def test_parts_of_a_model_are_counted():
-    many = l3d(structure(PARTS + 1000 * part()))
-    with pytest.raises(LumitreeError, match="more than 1000 parts and light emitting objects"):
+def test_parts_of_a_model_are_counted(monkeypatch):
+    monkeypatch.setattr(l3d_module, "_MAX_PARTS", 20)
+    many = l3d(structure(PARTS + 20 * part()))
+    with pytest.raises(LumitreeError, match="more than 20 parts and light emitting objects"):
         bake_gldf(gldf(model=many))
 
 

@@ -120,10 +120,10 @@ def test_projected_areas_are_in_proportion(direction):
 @pytest.mark.parametrize(
     ("opening", "sides"),
     [
-        # Of a box the sides that face C = 0, 90, 180, 270: their width times their height.
+        # The sides of a box that face C = 0, 90, 180, 270: their width times their height.
         (Opening((3, 4, 2), heights=(4, 1, 0, 2)), (2 * 4, 3 * 1, 2 * 0, 3 * 2)),
         (Opening((3, 4, 2)), (2 * 4, 3 * 4, 2 * 4, 3 * 4)),
-        # Of a cylinder of radius r: r ∫ h cos C dC over the half that is seen, where h is linear in
+        # A cylinder of radius r: r ∫ h cos C dC over the half that is seen, where h is linear in
         # C from 4 at C = 0 to 0 at C = 180.
         (
             Opening((2, 4, 2), "cylinder", heights=(4, 2, 0, 2)),
@@ -132,7 +132,7 @@ def test_projected_areas_are_in_proportion(direction):
     ],
 )
 def test_luminous_sides_of_different_heights(opening, sides):
-    """Their projections, relative to that of the lower face, which stays."""
+    """Their projections, relative to the lower face, which stays."""
     _, height, _ = opening.sides
     below, lowest = projected(opening, [0, -1, 0])
     assert lowest[1] == pytest.approx(-height / 2)

@@ -1,6 +1,6 @@
 """One light sampled in Types A, B and C, against its intensity in world directions.
 
-The frame is that of `formats.type_c`: see `support.photometric_types`.
+The frame is the frame of `formats.type_c`: see `support.photometric_types`.
 """
 
 import numpy as np

@@ -157,7 +157,7 @@ def test_openings(made, areas, opening):
 
 
 def test_a_spectrum_gives_the_colour(made):
-    """Of a black body, in steps of 5 nm."""
+    """The spectrum of a black body, in steps of 5 nm."""
     wavelength = np.arange(360, 835, 5.0)
     power = wavelength**-5 / np.expm1(1.438777e7 / (wavelength * 2700))
     rows = "".join(f'<PwrData w="{w:g}">{p / power.max():.6g}</PwrData>'
@@ -168,7 +168,7 @@ def test_a_spectrum_gives_the_colour(made):
     assert asset_lumens(asset) == pytest.approx(300 * np.pi, rel=5e-3)
     assert colour_temperature(watts)[0] == pytest.approx(2700, rel=5e-3)
     assert watts / luminance(watts) * 683 == pytest.approx(blackbody_colour(2700), abs=0.01)
-    # Of an emitter that is off there is no colour.
+    # An emitter that is off has no colour.
     off = '<TiltAngles><Tilt angle="0">0</Tilt></TiltAngles>'
     with pytest.warns(LumitreeWarning, match="the one for 0 degrees, 0, is used"):
         distribution, colour = read_tm33(made(before=off, after=spectrum))

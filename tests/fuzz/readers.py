@@ -34,7 +34,7 @@ from lumitree.formats.tm25 import read_tm25
 from lumitree.formats.tm33 import read_tm33
 from lumitree.lamp.read_source import read_model
 from lumitree.measure.receivers import read_points
-from lumitree.rendering.placement_file import read_placements
+from lumitree.rendering.placement import read_placements
 from support import gldf_files
 from support.asset_drafts import CHANGES, Draft
 from support.every_material import every_material

@@ -175,9 +175,9 @@ def irradiance(mi, lamps, integrator, spp, seed=0):
 
 def lumitree_scene(described):
     """A scene as `render` loads it."""
-    from lumitree.rendering.scene import load_room
+    from lumitree.rendering.scene import load_without_camera
 
-    return load_room(described)[0]
+    return load_without_camera(described)[0]
 
 
 @pytest.mark.parametrize("integrator", ["path", "lumitree_path"])

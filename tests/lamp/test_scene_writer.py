@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from lumitree.asset.geometry import Medium
 from lumitree.asset.materials import VertexColours
 from lumitree.core.backend import load_mitsuba
 from lumitree.lamp.meshes import Mesh
@@ -13,10 +14,9 @@ from lumitree.lamp.parts import (
     Geometry,
     Glass,
     Material,
-    Medium,
     Metal,
+    MetallicRoughness,
     Part,
-    Principled,
     Texture,
 )
 from lumitree.lamp.scene_file import SceneFile
@@ -126,8 +126,10 @@ def test_the_first_row_is_at_v_0_and_values_are_decoded(mi, tmp_path, encoded, v
         Glass(tint=(1, 0.5, 0.2), roughness=0.3),
         Glass(thin=True),
         Metal((0.9, 0.8, 0.7), 0.2, "Au"),
-        Principled(thin=True, diffuse_transmission=1.0),
-        Principled(VertexColours(), roughness=Texture(np.full((2, 2, 1), 99, np.uint8), False)),
+        MetallicRoughness(thin=True, diffuse_transmission=1.0),
+        MetallicRoughness(
+            VertexColours(), roughness=Texture(np.full((2, 2, 1), 99, np.uint8), False)
+        ),
     ],
 )
 def test_every_surface_loads_under_every_layer(mi, tmp_path, surface):

@@ -19,7 +19,7 @@ def test_every_view_shows_the_side_it_names(mi):
 
     from lumitree.measure.preview import VIEWS, take_asset_preview
 
-    # Nearly opaque leaves; those of larger x emit.
+    # Nearly opaque leaves; leaves of larger x emit.
     asset = uniform_asset(50.0, (5, 5, 5), law="exponential")
     coefficients = asset.coefficients.copy()
     from support.reference_field import leaf_boxes
@@ -41,7 +41,7 @@ def test_every_view_shows_the_side_it_names(mi):
         elif backward[0]:
             seen = radiance[24, 24] > 1
             assert seen == (backward[0] > 0), name
-    # Of the cube's side of 2 in an image of 2 sqrt(3).
+    # The cube's side of 2 in an image of 2 sqrt(3).
     front = images["from the front, +z"].geometric
     assert front.mean() == pytest.approx(1 / 3, abs=0.03)
 

@@ -1,6 +1,6 @@
 """Illuminance, against the analytical cases of CIE 171:2006 for electric light.
 
-Numbers in parentheses are those of the cases. Configuration factors are by Lambert's formula for
+Numbers in parentheses name the cases. Configuration factors are by Lambert's formula for
 polygons. Lengths are in metres, y is up.
 """
 
@@ -187,7 +187,7 @@ def test_an_area_source_on_parallel_and_perpendicular_planes(mi, tmp_path, kind)
 
 @pytest.mark.slow
 def test_a_baked_area_source(mi):
-    """(5.3) The noise of a bake is in its light; it is that of independent bakes."""
+    """(5.3) The light of a bake has noise, which independent bakes show."""
     ratios = []
     for seed in range(6):
         lamp = mi.load_dict({"type": "scene", "lamp": emitting_square(mi)})
@@ -195,7 +195,7 @@ def test_a_baked_area_source(mi):
         asset = lumitree.bake(lamp, None, config).asset
         found, exact = below_a_square(mi, {}, [lumitree.Placement(asset, at=(0, HEIGHT, 0))])
         ratios.append(found.direct / exact)
-    # Of one bake.
+    # Each bake.
     assert np.array(ratios) == pytest.approx(1, abs=0.04)
     assert np.mean(ratios) == pytest.approx(1, abs=0.005)
     mean, error = np.mean(ratios, axis=0), np.std(ratios, axis=0, ddof=1) / np.sqrt(len(ratios))

@@ -52,7 +52,7 @@ def test_the_index_of_cie_illuminants(illuminants, name, ra):
     assert rendering_indices(illuminants[name]).ra == pytest.approx(ra, abs=0.6)
 
 
-# Of FL2 by the calculator that the IES publishes with TM-30-18; A is its own reference.
+# FL2 by the calculator that the IES publishes with TM-30-18; A is its own reference.
 @pytest.mark.parametrize(("name", "rf", "rg"), [("A", 100, 100), ("FL2", 70, 86)])
 def test_fidelity_and_gamut_of_cie_illuminants(illuminants, name, rf, rg):
     found = rendering_indices(illuminants[name])

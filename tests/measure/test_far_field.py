@@ -133,7 +133,7 @@ def test_the_near_field_of_a_lambertian_disk(measured_disk):
         (lambda d: -1 / (4 * d**2 + 1), 0.03, (None, False)),
         (lambda d: 0 * d, 0.03, (None, False)),
         (lambda d: np.nan * d, 0.001, (None, False)),
-        # What is near may be uncertain.
+        # Near distances may be uncertain.
         (lambda d: 1 / d, np.where(DISTANCES < 10, 0.1, 0.01), (3 * 20.0, True)),
     ],
 )
@@ -167,7 +167,7 @@ def test_a_luminaire_that_absorbs(mi, tmp_path):
 
 
 def test_an_asset_emits_what_its_light_field_has(mi):
-    """In a turned frame; the intensity is that of the cells, by bin and direction."""
+    """In a turned frame; the cells have the same intensity, by bin and direction."""
     half = np.array([1.0, 0.5, 0.25])
     frame = LocalFrame(half, similarity(rotation([1, 2, 3], 50), 0.3, [1, 2, 3]))
     asset = light_field_asset(random_light_field(3, depth=1, count=3), frame, "random")
@@ -202,7 +202,7 @@ def test_an_asset_emits_what_its_light_field_has(mi):
 
 
 def test_an_asset_without_an_light_field(mi):
-    """A cube of density; its flux is that of the opaque cube, 6 · 4 · π · L."""
+    """A cube of density; its flux is the opaque cube's, 6 · 4 · π · L."""
     data = evaluated(measure(asset_source(uniform_asset(1e4, RADIANCE)), 1 << 16, step=30))
     assert data.figures.lumens.value == pytest.approx(24 * np.pi * luminance(RADIANCE), rel=0.02)
 

@@ -88,9 +88,11 @@ def placed(**options):
 def received(mi, things, placements, points, normals, samples=1 << 15):
     """Illuminance by next-event estimation and rays of a BSDF, and its standard error."""
     from benchmarks.inside_box.received import received_irradiance
-    from lumitree.rendering.scene import load_room, open_placements, place_luminaires
+    from lumitree.rendering.scene import load_without_camera, open_placements, place_luminaires
 
-    scene = place_luminaires(load_room(room(mi, **things))[0], open_placements(placements))
+    scene = place_luminaires(
+        load_without_camera(room(mi, **things))[0], open_placements(placements)
+    )
     normals = np.broadcast_to(normals, np.shape(points))
     found = [
         luminance(received_irradiance(scene, points, normals, samples, seed)) for seed in range(8)

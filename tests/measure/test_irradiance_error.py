@@ -1,9 +1,15 @@
-"""Irradiance around a luminaire: closed forms, quadrature, and baked lamps beside explicit ones."""
+"""Irradiance around a luminaire: closed forms, quadrature, baked lamps, and warnings of errors."""
+
+import warnings
 
 import numpy as np
 import pytest
 
+from lumitree.asset.asset import light_field_asset
 from lumitree.core.photometry import luminance
+from lumitree.core.results import Stopwatch
+from lumitree.errors import LumitreeWarning
+from lumitree.fit.light_field.bake import bake_light_field
 from lumitree.lamp.luminaire import load_luminaire
 from lumitree.measure.batches import BATCHES
 from lumitree.measure.irradiance import (
@@ -15,10 +21,12 @@ from lumitree.measure.irradiance import (
     evaluate_irradiance,
     irradiance_error,
     luminaire_irradiance,
+    measure_irradiance,
 )
 from lumitree.octree.field import Field
+from lumitree.trace.light_field_config import LightFieldConfig
 from support.fields import random_asset, uniform_asset
-from support.lamps import AREA, cube, scene, sphere
+from support.lamps import AREA, cube, lamp_of, scene, sphere
 from support.slow import slow
 
 SIDE = 2 * CUBE_HALF_SIDE / PATCHES
@@ -36,7 +44,7 @@ def patch_points(face, count, half_extents=(1, 1, 1)):
 
 
 def z_scores(estimate, expected):
-    """Of each patch and channel; one that nothing reaches must be expected to be 0."""
+    """z-scores of patches and channels; a dark one must be expected to be dark."""
     error = estimate.batches.std(axis=0, ddof=1) / np.sqrt(len(estimate.batches))
     assert (estimate.mean[error == 0] == 0).all()
     return (estimate.mean - expected)[error > 0] / error[error > 0]
@@ -110,7 +118,7 @@ def test_errors_are_found_and_noise_is_not_taken_for_one(mi):
     same = irradiance_error(noisy(truth, 0.2), noisy(truth, 0.1))
     assert (np.abs(same.ratio - 1) < 5 * same.ratio_error).all()
     assert (same.rms < 0.05).all()
-    # What noise hides has an error all the same.
+    # A difference that noise hides has an error all the same.
     assert ((same.rms_error > 0.002) & (same.rms_error < 0.1)).all()
     assert (same.rms < 5 * same.rms_error).all()
     pattern = truth * (1.03 + 0.1 * np.sign(random.normal(size=(*truth.shape[:3], 1))))
@@ -181,3 +189,41 @@ def test_it_is_the_same_for_the_same_seed(mi, tmp_path):
     assert (first == second).all()
     assert (first != third).any()
     assert len(first) == BATCHES
+
+
+PATHS = 1 << 16
+DISK = f'<shape type="disk" id="disk">{AREA}</shape>'
+
+
+def _measured(folder, depth, resolution, *shapes):
+    """`irradiance` of a lamp, whose light field has bins of this number a side."""
+    lamp = lamp_of(folder, *shapes)
+    config = LightFieldConfig(paths=PATHS, batch=PATHS, depth=depth, resolution=resolution)
+    field = bake_light_field(lamp, config, folder)
+    return measure_irradiance(
+        light_field_asset(field, lamp.frame, "lamp"), lamp, PATHS, Stopwatch()
+    )
+
+
+@pytest.mark.parametrize(
+    ("depth", "others", "cause"),
+    [
+        (5, (), "narrow beams"),
+        (1, (), "only 4 cells"),
+        (3, (cube("pole", (0.1, 0.1, 4), (0, 0, -4.2)),), "in one far part of its box"),
+    ],
+)
+def test_a_large_error_is_told_with_its_likely_cause(mi, tmp_path, depth, others, cause):
+    """A disk, which emits to one side, in bins of 45 degrees."""
+    with pytest.warns(
+        LumitreeWarning, match=rf"RMS error of \d\d%, expected at most 10%: .*{cause}"
+    ):
+        found = _measured(tmp_path, depth, 4, DISK, *others)
+    assert found["irradiance_rms"] > 0.1
+
+
+def test_a_small_error_is_not(mi, tmp_path):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", LumitreeWarning)
+        found = _measured(tmp_path, 4, 32, DISK)
+    assert found["irradiance_rms"] < 0.05

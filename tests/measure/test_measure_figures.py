@@ -68,7 +68,7 @@ UP = {
 
 
 def evaluation(explicit, baked):
-    """Of irradiance [7, P, P], lx, without noise."""
+    """Evaluation of irradiance [7, P, P], lx, without noise."""
     first, second = (
         Irradiance(np.tile(lux[None, ..., None] / LUMENS_PER_WATT, (BATCHES, 1, 1, 1, 3)))
         for lux in (explicit, baked)

@@ -81,7 +81,7 @@ def test_a_lambertian_luminaire_has_the_rating_of_the_definition(emitted):
     # It has no direction.
     np.testing.assert_allclose(table[:, :5], table[:, 5:], atol=0.01)
     expected = [[rating(room, each) for each in REFLECTANCES] for room in ROOMS]
-    # Of tabulated numbers, with steps of 10 degrees, and a fit of the position index.
+    # The numbers are tabulated in steps of 10 degrees, with a fit of the position index.
     np.testing.assert_allclose(table[:, :5], expected, atol=0.5)
 
 

@@ -14,7 +14,7 @@ from lumitree.lamp.stored_geometry import stored_geometry
 from lumitree.measure.far_field import asset_source, measure
 from lumitree.measure.irradiance import asset_irradiance
 from lumitree.rendering.asset_flux import asset_watts, with_light
-from lumitree.rendering.asset_views import baked_image
+from lumitree.rendering.asset_images import baked_image
 from lumitree.viewer.packing import pack_asset
 from support.fields import random_asset
 from support.lamps import AREA, lamp_of, sphere

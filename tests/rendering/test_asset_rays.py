@@ -5,8 +5,7 @@ import pytest
 
 from lumitree.asset.asset import light_field_asset
 from lumitree.core.frames import LocalFrame
-from lumitree.rendering.asset_flux import light_field_watts
-from lumitree.rendering.asset_rays import AssetRays
+from lumitree.rendering.asset_flux import AssetRays, light_field_watts
 from support.fields import uniform_asset
 from support.light_fields import random_light_field
 

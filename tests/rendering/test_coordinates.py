@@ -45,10 +45,12 @@ def mean_radiance(mi, lamp, seen, centre, scale, integrator="lumitree_path", **o
     return np.mean(means, 0), np.std(means, 0, ddof=1) / np.sqrt(PASSES)
 
 
-@pytest.fixture
-def lamp(mi, tmp_path):
-    lumitree.save(random_asset(11, density_scale=3.0), tmp_path / "lamp.lumitree")
-    return lambda place: lumitree.shape(tmp_path / "lamp.lumitree", place)
+@pytest.fixture(scope="module")
+def lamp(mi):
+    from lumitree.fit.field_light import with_field_light
+
+    asset = with_field_light(random_asset(11, density_scale=3.0))
+    return lambda place: lumitree.shape(asset, place)
 
 
 # At a coordinate of 100,000 numbers are 0.008 apart: the lamp's box itself is off by 1 %.

@@ -13,7 +13,7 @@ ROUGH = '<bsdf type="roughdielectric"><float name="alpha" value="0.3"/></bsdf>'
 
 def test_self_emission_keeps_its_mean(mi):
     """A disc whose light one sample in 120 finds, 2 a pixel; as illumination it gets darker."""
-    from lumitree.rendering.denoise import denoised
+    from lumitree.rendering.layers import denoised
 
     random = np.random.default_rng(0)
     y, x = np.mgrid[:160, :160]
@@ -31,7 +31,7 @@ def test_self_emission_keeps_its_mean(mi):
 @pytest.mark.slow
 def test_a_denoised_lamp_of_two_samples_is_as_bright_as_a_converged_one(mi, tmp_path):
     """A globe of rough glass: nearly all of its light is self-emission."""
-    from lumitree.rendering.denoise import denoised
+    from lumitree.rendering.layers import denoised
     from lumitree.rendering.passes import Budget
     from lumitree.rendering.render_job import Described, RenderJob
 

@@ -388,6 +388,7 @@ def test_rough_surfaces_of_the_lamp_show_its_own_light(make, rr_depth):
     assert_same_expectation(ours, theirs)
 
 
+@pytest.mark.slow
 def test_rough_surfaces_of_the_lamp_get_its_light_through_its_glass(make):
     """The table under a pane gets what it gets under thin glass."""
     pane = cube("pane", (0.9, 0.001, 0.9), inside=GLASS)

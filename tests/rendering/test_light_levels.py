@@ -73,7 +73,7 @@ def test_a_sum_of_equal_cells_is_the_larger_cell(mi):
 
 
 def test_levels_follow_the_distance_without_a_border(mi):
-    from lumitree.rendering.light_levels import LevelChoice
+    from lumitree.rendering.light_table import LevelChoice
 
     choice = LevelChoice(HALF, np.array([3.0, 6.0]))
     sample = uniform_samples(mi, 1 << 14).next_1d()

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from lumitree.asset.geometry import AssetGeometry, MeshShape
-from lumitree.rendering.integrators import default_integrator
 from lumitree.rendering.placement import Placement
-from lumitree.rendering.scene import PlacedLuminaire, place_luminaires
+from lumitree.rendering.scene import PlacedLuminaire, default_integrator, place_luminaires
 from support.geometry_assets import with_geometry
 from support.material_combinations import IMAGES, RANDOM, accepted, materials
 

@@ -230,7 +230,7 @@ def test_lamps_have_bits_of_their_own(mi, tmp_path):
     """Whatever other emitters are between them, as the materials of their geometry are."""
     from lumitree.rendering.proxies import NONE, Owners, Proxies
 
-    nothing = SimpleNamespace(own_shapes=[], own_media=[])
+    nothing = SimpleNamespace(shape_numbers=[], medium_numbers=[])
     owners = Owners({0: nothing, 32: nothing, 64: nothing, 70: nothing})
     lamp = on_device(mi.UInt32, np.array([0, 32, 64, 70, NONE]))
     assert np.array(owners.bit(lamp, mi.Bool(True))).tolist() == [1, 2, 4, 8, 0]

@@ -178,7 +178,7 @@ def test_a_file_in_metres_is_as_large_in_a_scene_in_centimetres(mi, tmp_path):
         placed, again = open_placements([lumitree.Placement(tmp_path / "a.ies")] * 2, unit)
         assert 2 * np.linalg.norm(placed.scene_from_box[:3, 0]) == pytest.approx(length / 2)
         assert 2 * np.linalg.norm(placed.scene_from_box[:3, 2]) == pytest.approx(length)
-        assert placed.field is again.field
+        assert placed.asset is again.asset
 
 
 @pytest.mark.parametrize("placements", [lumitree.Placement("a.lumitree"), "a.lumitree", [None]])

@@ -111,12 +111,12 @@ def test_an_asset_that_has_changed_is_read_again(mi, asset, loads):
     lumitree.save(random_asset(4), asset)
     second = lumitree.shape(asset)
     assert len(loads) == 2
-    assert first.field is not second.field
+    assert first.asset is not second.asset
 
 
 def test_an_interrupt_ends_a_render_after_the_pass(mi, monkeypatch):
     from lumitree.rendering import passes as module
-    from lumitree.rendering.integrators import default_integrator
+    from lumitree.rendering.scene import default_integrator
 
     rendered, render = [], mi.render
 

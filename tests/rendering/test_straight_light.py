@@ -399,6 +399,7 @@ def test_light_of_glass_comes_from_the_light_field_alone(mi, tmp_path):
     assert found[0] / RADIANCE == pytest.approx(np.repeat(FREE[:3, None], 3, axis=1), rel=0.25)
 
 
+@pytest.mark.slow
 def test_bent_light_is_the_same_beside_straight_light(mi, tmp_path):
     """Receivers in the box see a grey plate and no emitter; bins of the field are sparse."""
     grey = BLACK.replace("0,0,0", "0.5,0.5,0.5")
@@ -417,8 +418,8 @@ def test_bent_light_is_the_same_beside_straight_light(mi, tmp_path):
 @pytest.mark.parametrize(
     ("integrator", "appearance", "sampling"),
     [
-        ("lumitree_path", "geometry", "uniform"),
-        slow("lumitree_path", "field", "emission"),
+        ("lumitree_path", "field", "emission"),
+        slow("lumitree_path", "geometry", "uniform"),
         slow("lumitree_path", "field", "uniform"),
         slow("volpath", "geometry", "emission"),
         slow("volpath", "field", "emission"),

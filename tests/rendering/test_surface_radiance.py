@@ -30,7 +30,7 @@ def plate_below_a_sphere(gain=(1.0, 1.0, 1.0)):
 
 
 def test_radiosity_of_a_plate_is_that_of_the_analytic_irradiance(mi):
-    from lumitree.rendering.surface_radiance import vertex_radiance
+    from lumitree.rendering.asset_images import vertex_radiance
 
     # Small triangles at the foot of the perpendicular, and at 0.5 beside it.
     small = np.array([[0, -0.5, 0], [0, -0.5, 1e-3], [1e-3, -0.5, 0]], np.float32)
@@ -50,7 +50,7 @@ def test_radiosity_of_a_plate_is_that_of_the_analytic_irradiance(mi):
 
 def test_an_emitter_sends_out_its_radiance_at_its_front_alone(mi):
     from lumitree.exports.surfaces import geometry_meshes, meshed
-    from lumitree.rendering.surface_radiance import vertex_radiance
+    from lumitree.rendering.asset_images import vertex_radiance
 
     asset = plate_below_a_sphere()
     asset = dataclasses.replace(asset, geometry=meshed(asset.geometry))
@@ -67,7 +67,7 @@ def test_an_emitter_sends_out_its_radiance_at_its_front_alone(mi):
 
 @pytest.mark.slow
 def test_equal_assets_have_equal_radiance(mi):
-    from lumitree.rendering.surface_radiance import vertex_radiance
+    from lumitree.rendering.asset_images import vertex_radiance
 
     triangle = np.array([[0, -0.5, 0], [0, -0.5, 0.1], [0.1, -0.5, 0]], np.float32)
     faces = np.array([[0, 1, 2]], np.uint32)

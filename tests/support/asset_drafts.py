@@ -5,10 +5,10 @@ import struct
 
 import numpy as np
 
-from lumitree.asset.field_file import field_description, field_tensors
+from lumitree.asset.field_file import stored_field
 from lumitree.asset.file import _digest
 from lumitree.asset.geometry_file import geometry_tensors
-from lumitree.asset.light_field_file import light_field_description, light_field_tensors
+from lumitree.asset.light_field_file import stored_light_field
 from support.stored_arrays import change_field_arrays
 
 DEEP = "[" * 100_000 + "]" * 100_000
@@ -32,7 +32,7 @@ class Draft:
 
     def __init__(self, asset):
         self.asset = asset
-        self.tensors = {name: each.copy() for name, each in field_tensors(asset).items()}
+        tensors, stored = stored_field(asset)
         self.members = [
             ("format", '"lumitree"'),
             ("version", "4"),
@@ -43,18 +43,20 @@ class Draft:
             ("activation", '"sigmoid"'),
             ("max_radiance", str(asset.max_radiance)),
             ("gain", str(list(asset.light_factors))),
-            ("field", json.dumps(field_description(asset))),
+            ("field", json.dumps(stored)),
             ("half_extents", str(asset.frame.half_extents.tolist())),
             ("world_from_proxy", str(asset.frame.world_from_local.tolist())),
         ]
         if (field := asset.light_field) is not None:
-            self.tensors |= {name: each.copy() for name, each in light_field_tensors(field).items()}
-            self.members.append(("light", json.dumps(light_field_description(field))))
+            light, stored = stored_light_field(field)
+            tensors |= light
+            self.members.append(("light", json.dumps(stored)))
         if asset.spectrum is not None:
-            self.tensors["spectrum.power"] = asset.spectrum.power.copy()
+            tensors["spectrum.power"] = asset.spectrum.power
             self.members.append(("spectrum", json.dumps({"share": asset.spectrum.share})))
         if asset.geometry is not None:
-            self.tensors |= {n: each.copy() for n, each in geometry_tensors(asset.geometry).items()}
+            tensors |= geometry_tensors(asset.geometry)
+        self.tensors = {name: each.copy() for name, each in tensors.items()}
 
     @property
     def full(self):

@@ -21,7 +21,7 @@ def facts(variant):
 
     mi = load_mitsuba(variant)
     from lumitree.rendering.light_colour import (
-        SpectralColour,
+        LightSpectra,
         d65,
         light_table,
         smooth_basis,
@@ -57,7 +57,7 @@ def facts(variant):
     found["line"] = abs(luminance / (rgb @ LUMA) - 1).max()
     # The kernel, at whole wavelengths and between them.
     at = np.array([[400.0, 555.5, 610.25, 829.75]])
-    device = SpectralColour(table(spectra["peaks"]))(
+    device = LightSpectra(table(spectra["peaks"]))(
         mi.Color3f(1, 2, 3), mi.Spectrum(*at[0].tolist())
     )
     expected = np.interp(at[0], np.arange(360, 831), table(spectra["peaks"]) @ [1, 2, 3])

@@ -24,8 +24,8 @@ def change_light_arrays(tensors, field, change):
     Args:
         field: the light field that the file holds; names of its light inside begin with "inside.".
     """
-    outer, inner = light_field_file._layouts(light_field_file._counts(field), field.resolution)
-    _change(tensors, "light.stream", outer + inner, change)
+    _, description = light_field_file.stored_light_field(field)
+    _change(tensors, "light.stream", light_field_file.layouts_of(description), change)
 
 
 def change_geometry_arrays(tensors, change):

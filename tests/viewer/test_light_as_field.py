@@ -53,17 +53,17 @@ def rays_of_images(half_extents, count, towards):
 @pytest.mark.parametrize("half_extents", [(1, 0.6, 0.8), (0.7, 1e-3, 1)])
 @pytest.mark.parametrize("gain", [(1.0, 1.0, 1.0), (0.5, 2.0, 1.0)])
 def test_radiance_is_that_of_the_light_field(mi, half_extents, gain):
-    from lumitree.rendering.device_light import device_light_field
+    from lumitree.rendering.device import DeviceAsset
 
     asset = spot_asset(half_extents, gain=gain)
     origin, direction = rays_of_images(half_extents, 4000, SPOT)
-    light, many = device_light_field(asset), 64
+    light, many = DeviceAsset(asset).light, 64
     # The light of a bin at random, by the bits of the direction: the mean of directions nearby.
     near = np.repeat(direction, many, axis=0)
     near += 1e-5 * np.random.default_rng(0).normal(size=near.shape)
     points = on_device(mi.Point3f, np.repeat(origin, many, axis=0))
     directions = on_device(mi.Vector3f, near / np.linalg.norm(near, axis=1, keepdims=True))
-    expected = np.array(light.eval(points, points, directions, mi.Float(0))[0], np.float64)
+    expected = np.array(light.eval(points, points, directions)[0], np.float64)
     expected = expected.reshape(3, -1, many).mean(axis=2).T
     found, transmittance = light_as_field(asset).eval(asset.frame.scale * origin, direction)
     assert (expected.max(axis=1) > 0).mean() > 0.05

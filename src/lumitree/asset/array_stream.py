@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 
 from lumitree.errors import LumitreeError
 
+Arrays = dict[str, NDArray[Any]]
+
 # For all arrays of a stream together.
 MAX_BYTES = 1 << 31
 _LEVEL = 6
@@ -40,9 +42,7 @@ def compressed(arrays: Mapping[str, NDArray[Any]], layouts: Iterable[Layout]) ->
     return np.frombuffer(b"".join([*parts, compressor.flush()]), np.uint8)
 
 
-def decompressed(
-    stream: NDArray[np.uint8], layouts: Iterable[Layout], what: str
-) -> dict[str, NDArray[Any]]:
+def decompressed(stream: NDArray[np.uint8], layouts: Iterable[Layout], what: str) -> Arrays:
     """The arrays of a stream [bytes], by name; errors name the stream `what`."""
     layouts = list(layouts)
     sizes = [math.prod(each.shape) * np.dtype(each.dtype).itemsize for each in layouts]

@@ -8,15 +8,16 @@ Symbols
     N   interior nodes          M   leaves          K   (l_max + 1)² coefficients per channel
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.array_stream import Layout, compressed, decompressed
+from lumitree.asset.array_stream import Arrays, Layout, compressed, decompressed
 from lumitree.asset.asset import MAX_DENSITY, Asset
 from lumitree.core.harmonics import MAX_L, num_coefficients
 from lumitree.core.reading import Record, expect
+from lumitree.core.results import Json
 from lumitree.errors import LumitreeError
 
 
@@ -46,26 +47,21 @@ _MAX_ROWS = 1 << 27
 _LARGEST_CODE = (1 << 15) - (1 << 5)
 
 
-def rounded_field(asset: Asset) -> dict[str, NDArray[Any]]:
+def rounded_field(asset: Asset) -> Arrays:
     """`children`, `density` and `coefficients` as a file of the asset gives them back."""
     return field_of_codes(field_codes(asset))
 
 
-def field_tensors(asset: Asset) -> dict[str, NDArray[Any]]:
-    """Tensors of an asset's octree and field, by name."""
-    layouts = field_layouts(len(asset.children), asset.num_leaves, asset.l_max)
-    return {"field.stream": compressed(field_codes(asset), layouts)}
+def stored_field(asset: Asset) -> tuple[Arrays, Json]:
+    """Tensors of an asset's octree and field by name, and their description in the file."""
+    nodes, leaves = len(asset.children), asset.num_leaves
+    layouts = field_layouts(nodes, leaves, asset.l_max)
+    tensors = {"field.stream": compressed(field_codes(asset), layouts)}
+    return tensors, {"nodes": nodes, "leaves": leaves}
 
 
-def field_description(asset: Asset) -> dict[str, int]:
-    """Description of a field in the file, besides its tensor."""
-    return {"nodes": len(asset.children), "leaves": asset.num_leaves}
-
-
-def build_field(
-    description: Record, l_max: int, tensors: dict[str, NDArray[Any]]
-) -> dict[str, NDArray[Any]]:
-    """`children`, `density` and `coefficients` of a file; the inverse of `field_tensors`."""
+def build_field(description: Record, l_max: int, tensors: Arrays) -> Arrays:
+    """`children`, `density` and `coefficients` of a file; the inverse of `stored_field`."""
     expect("asset", 0 <= l_max <= MAX_L, f"l_max {l_max!r}, expected 0 to {MAX_L}")
     description.expect_keys(*_KEYS)
     nodes, leaves = (description.integer(key) for key in _KEYS)
@@ -74,11 +70,10 @@ def build_field(
             f"{nodes} nodes and {leaves} leaves, expected 1 to {_MAX_ROWS} and 0 to {_MAX_ROWS}"
         )
     layouts = field_layouts(nodes, leaves, l_max)
-    codes = decompressed(tensors["field.stream"], layouts, "the field")
-    return field_of_codes(codes)
+    return field_of_codes(decompressed(tensors["field.stream"], layouts, "the field"))
 
 
-def field_codes(asset: Asset, steps: Steps = STEPS) -> dict[str, NDArray[Any]]:
+def field_codes(asset: Asset, steps: Steps = STEPS) -> Arrays:
     """Arrays of the stream, by name; nodes and leaves in the order of the file."""
     children, leaves = _breadth_first(asset.children)
     return {
@@ -89,7 +84,7 @@ def field_codes(asset: Asset, steps: Steps = STEPS) -> dict[str, NDArray[Any]]:
     }
 
 
-def field_of_codes(codes: dict[str, NDArray[Any]], steps: Steps = STEPS) -> dict[str, NDArray[Any]]:
+def field_of_codes(codes: Arrays, steps: Steps = STEPS) -> Arrays:
     """The field of the arrays of a stream, checked; the inverse of `field_codes`."""
     return {
         "children": _children(codes["occupied"], codes["leaf"], len(codes["density"])),

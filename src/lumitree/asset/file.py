@@ -5,31 +5,21 @@ import hashlib
 import json
 import os
 import struct
-from typing import Any
 
 import numpy as np
 import safetensors
 import safetensors.numpy
-from numpy.typing import NDArray
 
+from lumitree.asset.array_stream import Arrays
 from lumitree.asset.asset import Asset, EmittedSpectrum
-from lumitree.asset.field_file import (
-    build_field,
-    field_description,
-    field_tensors,
-    rounded_field,
-)
+from lumitree.asset.field_file import build_field, rounded_field, stored_field
 from lumitree.asset.geometry_file import (
     GEOMETRY_SHAPES,
     GEOMETRY_TENSORS,
     build_geometry,
     geometry_tensors,
 )
-from lumitree.asset.light_field_file import (
-    build_light_field,
-    light_field_description,
-    light_field_tensors,
-)
+from lumitree.asset.light_field_file import build_light_field, stored_light_field
 from lumitree.core.file_kinds import ASSET, what_it_is
 from lumitree.core.files import atomic_path
 from lumitree.core.frames import FRAME_KEYS, LocalFrame
@@ -74,7 +64,7 @@ def save(asset: Asset, path: str | os.PathLike[str], *, fingerprint: str = "") -
     Raises:
         LumitreeError: the file cannot be written.
     """
-    tensors = field_tensors(asset)
+    tensors, field = stored_field(asset)
     description = {
         "format": FORMAT,
         "version": VERSION,
@@ -85,12 +75,12 @@ def save(asset: Asset, path: str | os.PathLike[str], *, fingerprint: str = "") -
         "activation": ACTIVATION,
         "max_radiance": asset.max_radiance,
         "gain": asset.light_factors,
-        "field": field_description(asset),
+        "field": field,
         **asset.frame.members(),
     }
     if asset.light_field is not None:
-        tensors |= light_field_tensors(asset.light_field)
-        description["light"] = light_field_description(asset.light_field)
+        light, description["light"] = stored_light_field(asset.light_field)
+        tensors |= light
     if asset.geometry is not None:
         tensors |= geometry_tensors(asset.geometry)
     if asset.spectrum is not None:
@@ -152,7 +142,7 @@ def fingerprint_of(path: str | os.PathLike[str]) -> str:
     return description.text("fingerprint", 64) if description.has("fingerprint") else ""
 
 
-def _build(description: Record, tensors: dict[str, NDArray[Any]]) -> Asset:
+def _build(description: Record, tensors: Arrays) -> Asset:
     description.expect_keys(*_KEYS, optional=("light", "spectrum", "fingerprint"))
     description.choice("activation", (ACTIVATION,))
     light, geometry, spectrum = None, None, None
@@ -230,7 +220,7 @@ def _read_header(content: bytes) -> tuple[str, str, Record]:
     return digest, text, description
 
 
-def _digest(text: str, tensors: dict[str, NDArray[Any]]) -> str:
+def _digest(text: str, tensors: Arrays) -> str:
     """SHA-256 over the description, then each tensor's name, shape and little-endian bytes."""
     digest = hashlib.sha256(text.encode())
     for name in sorted(tensors):

@@ -9,13 +9,12 @@ import json
 import math
 import typing
 import zlib
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.array_stream import Layout, compressed, decompressed, inflated
+from lumitree.asset.array_stream import Arrays, Layout, compressed, decompressed, inflated
 from lumitree.asset.geometry import (
     ARRAYS,
     MAX_IMAGE_BYTES,
@@ -57,7 +56,7 @@ _MEDIUM_KEYS = ("absorption", "scattering", "anisotropy")
 _FLAGS = ("normals", "texcoords", "colours")
 
 
-def geometry_tensors(geometry: AssetGeometry) -> dict[str, NDArray[Any]]:
+def geometry_tensors(geometry: AssetGeometry) -> Arrays:
     """Tensors of an asset's geometry, by name."""
     arrays = geometry.arrays
     description = {
@@ -75,7 +74,7 @@ def geometry_tensors(geometry: AssetGeometry) -> dict[str, NDArray[Any]]:
     }
 
 
-def build_geometry(tensors: Mapping[str, NDArray[Any]]) -> AssetGeometry:
+def build_geometry(tensors: Arrays) -> AssetGeometry:
     """The geometry of a file's tensors, checked; the inverse of `geometry_tensors`."""
     text = tensors[GEOMETRY_SHAPES].tobytes()
     if len(text) > _MAX_TEXT:

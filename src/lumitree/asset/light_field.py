@@ -22,7 +22,7 @@ Symbols
 import dataclasses
 import functools
 import string
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -409,14 +409,14 @@ def dense(lit: NDArray[np.uint8], bins: int, values: NDArray[Number]) -> NDArray
     return every
 
 
-def by_coarse_bin(values: NDArray[Any]) -> NDArray[Any]:
+def by_coarse_bin(values: NDArray[Number]) -> NDArray[Number]:
     """Values [C, R²] of bins on the octahedral map as [C, Q², 4]: four of them are one of Q²."""
     coarse = round(values.shape[1] ** 0.5) // 2
     blocks = values.reshape(len(values), coarse, 2, coarse, 2)
     return blocks.transpose(0, 1, 3, 2, 4).reshape(len(values), coarse**2, 4)
 
 
-def by_fine_bin(values: NDArray[Any]) -> NDArray[Any]:
+def by_fine_bin(values: NDArray[Number]) -> NDArray[Number]:
     """The inverse of `by_coarse_bin`."""
     coarse = round(values.shape[1] ** 0.5)
     blocks = values.reshape(len(values), coarse, coarse, 2, 2)

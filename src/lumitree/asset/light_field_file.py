@@ -6,74 +6,84 @@ both, and a byte for each bin states which it has.
 """
 
 import dataclasses
-from typing import Any
+from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lumitree.asset.array_stream import Layout, compressed, decompressed
+from lumitree.asset.array_stream import Arrays, Layout, compressed, decompressed
 from lumitree.asset.light_field import MAX_BINS, LightField, LightInside, TracedPaths
 from lumitree.core.reading import Record
+from lumitree.core.results import Json
 from lumitree.errors import LumitreeError
 
 _KEYS = ("depth", "resolution", "scale")
 _TRACED_KEYS = ("count", "seeds", "luminaire", "noise")
-# Numbers of rows of the arrays.
-_COUNTS = ("cells", "bins", "divided")
-_INSIDE_COUNTS = ("cells", "entries", "divided", "distances", "reach_curves")
+# Members of the description with numbers of rows, and the array of each.
+_ROWS = {"cells": "cells", "bins": "intensity", "divided": "bent"}
+_INSIDE_ROWS = {
+    **{"cells": "cells", "entries": "intensity", "divided": "bent"},
+    **{"distances": "distances", "reach_curves": "reach_curves"},
+}
 # Before the names of arrays of the light inside.
 _INSIDE = "inside."
 # Which light a bin has: bent, straight, or both.
 _BENT, _STRAIGHT, _BOTH = 0, 1, 2
 
 
-def light_field_tensors(field: LightField) -> dict[str, NDArray[Any]]:
-    """Tensors of a field, by name."""
-    outer, inner = _layouts(_counts(field), field.resolution)
-    arrays = vars(field) | _stored_parts(field)
-    if (inside := field.inside) is not None:
-        stored = vars(inside) | _stored_parts(inside)
-        stored["bent_reach"] = inside.bent_reach - inside.reach
-        arrays |= {_INSIDE + name: each for name, each in stored.items()}
-    return {"light.stream": compressed(arrays, outer + inner)}
-
-
-def light_field_description(field: LightField) -> dict[str, Any]:
-    """Description of a field in the file, besides its tensors."""
-    counts, inside = _counts(field)
-    members: dict[str, Any] = {key: getattr(field, key) for key in _KEYS} | counts
+def stored_light_field(field: LightField) -> tuple[Arrays, Json]:
+    """Tensors of a field by name, and its description in the file."""
+    arrays = _stored_arrays(field)
+    description: Json = {key: getattr(field, key) for key in _KEYS}
+    description |= {key: len(arrays[name]) for key, name in _ROWS.items()}
+    layouts = layouts_of(description)
     if field.traced is not None:
-        members["traced"] = dataclasses.asdict(field.traced)
-    if field.inside is not None:
-        members["inside"] = {**inside, "scale": field.inside.scale}
+        description["traced"] = dataclasses.asdict(field.traced)
+    if (inside := field.inside) is not None:
+        stored = _stored_arrays(inside)
+        stored["bent_reach"] = inside.bent_reach - inside.reach
+        counts = {key: len(stored[name]) for key, name in _INSIDE_ROWS.items()}
+        description["inside"] = {**counts, "scale": inside.scale}
+        layouts = layouts_of(description)
+        arrays |= {_INSIDE + name: each for name, each in stored.items()}
     if field.absolute:
-        members["absolute"] = True
-    return members
+        description["absolute"] = True
+    return {"light.stream": compressed(arrays, layouts)}, description
 
 
-def build_light_field(description: Record, tensors: dict[str, NDArray[Any]]) -> LightField:
-    """The field of a file; the inverse of `light_field_tensors` and `light_field_description`."""
-    description.expect_keys(*_KEYS, *_COUNTS, optional=("traced", "inside", "absolute"))
-    resolution = description.integer("resolution")
-    described, inside_counts = None, {}
-    if description.has("inside"):
-        described = description.record("inside")
-        described.expect_keys(*_INSIDE_COUNTS, "scale")
-        inside_counts = _read_counts(described, _INSIDE_COUNTS)
-    outer, inner = _layouts((_read_counts(description, _COUNTS), inside_counts), resolution)
-    arrays = decompressed(tensors["light.stream"], outer + inner, "the light field")
-    inside_arrays = {each.name.removeprefix(_INSIDE): arrays.pop(each.name) for each in inner}
+def build_light_field(description: Record, tensors: Arrays) -> LightField:
+    """The field of a file; the inverse of `stored_light_field`."""
+    description.expect_keys(*_KEYS, *_ROWS, optional=("traced", "inside", "absolute"))
+    counts: Json = _counts(description, _ROWS) | {"resolution": description.integer("resolution")}
+    described = description.record("inside") if description.has("inside") else None
+    if described is not None:
+        described.expect_keys(*_INSIDE_ROWS, "scale")
+        counts["inside"] = _counts(described, _INSIDE_ROWS)
+    arrays = decompressed(tensors["light.stream"], layouts_of(counts), "the light field")
+    inside_arrays = {
+        name.removeprefix(_INSIDE): arrays.pop(name)
+        for name in list(arrays)
+        if name.startswith(_INSIDE)
+    }
     _restore_bent(arrays)
     inside = None
     if described is not None:
         _restore_bent(inside_arrays)
         inside_arrays["bent_reach"] += inside_arrays["reach"]
         inside = LightInside(**inside_arrays, scale=described.number("scale"))
-    traced = _build_traced(description.record("traced")) if description.has("traced") else None
+    traced = None
+    if description.has("traced"):
+        paths = description.record("traced")
+        paths.expect_keys(*_TRACED_KEYS)
+        traced = TracedPaths(
+            count=paths.integer("count"),
+            seeds=tuple(paths.integers("seeds")),
+            luminaire=paths.text("luminaire", 64),
+            noise=None if paths.is_null("noise") else paths.number("noise"),
+        )
     return LightField(
         **arrays,
         depth=description.integer("depth"),
-        resolution=resolution,
+        resolution=counts["resolution"],
         scale=description.number("scale"),
         traced=traced,
         inside=inside,
@@ -81,56 +91,35 @@ def build_light_field(description: Record, tensors: dict[str, NDArray[Any]]) -> 
     )
 
 
-def _build_traced(description: Record) -> TracedPaths:
-    description.expect_keys(*_TRACED_KEYS)
-    return TracedPaths(
-        count=description.integer("count"),
-        seeds=tuple(description.integers("seeds")),
-        luminaire=description.text("luminaire", 64),
-        noise=None if description.is_null("noise") else description.number("noise"),
-    )
+def layouts_of(description: Json) -> list[Layout]:
+    """Arrays of a stream, in its order: of a field, and of the light inside if there is any."""
+    cells, bins, divided = (description[key] for key in _ROWS)
+    resolution = description["resolution"]
+    found = [
+        Layout("cells", np.uint8, (cells, 3)),
+        Layout("lit", np.uint8, (cells, resolution**2 // 8)),
+        Layout("intensity", np.uint32, (bins,)),
+        Layout("kinds", np.uint8, (bins,)),
+        Layout("bent", np.uint32, (divided,)),
+    ]
+    if "inside" not in description:
+        return found
+    cells, entries, divided, distances, curves = (description["inside"][k] for k in _INSIDE_ROWS)
+    return [
+        *found,
+        Layout("inside.cells", np.uint8, (cells, 3)),
+        Layout("inside.lit", np.uint8, (cells, -(-((resolution // 2) ** 2) // 8))),
+        Layout("inside.intensity", np.uint32, (entries,)),
+        Layout("inside.kinds", np.uint8, (entries,)),
+        Layout("inside.bent", np.uint32, (divided,)),
+        Layout("inside.reach", np.uint8, (entries,)),
+        Layout("inside.bent_reach", np.uint8, (entries,)),
+        Layout("inside.distances", np.float32, (distances,)),
+        Layout("inside.reach_curves", np.float32, (curves, distances)),
+    ]
 
 
-def _counts(field: LightField) -> tuple[dict[str, int], dict[str, int]]:
-    """Numbers of rows of the arrays of a field, and of its light inside the box, if it has any."""
-    outer = {
-        "cells": len(field.cells),
-        "bins": len(field.intensity),
-        "divided": int(np.count_nonzero(_light_of_bins(field) == _BOTH)),
-    }
-    if (inside := field.inside) is None:
-        return outer, {}
-    return outer, {
-        "cells": len(inside.cells),
-        "entries": len(inside.intensity),
-        "divided": int(np.count_nonzero(_light_of_bins(inside) == _BOTH)),
-        "distances": len(inside.distances),
-        "reach_curves": len(inside.reach_curves),
-    }
-
-
-def _light_of_bins(light: LightField | LightInside) -> NDArray[np.uint8]:
-    """Which light each bin has."""
-    found = np.where(light.bent == 0, _STRAIGHT, _BOTH)
-    return np.where(light.bent == light.intensity, _BENT, found).astype(np.uint8)
-
-
-def _stored_parts(light: LightField | LightInside) -> dict[str, NDArray[Any]]:
-    """The bent part of an intensity, as a file has it."""
-    kinds = _light_of_bins(light)
-    return {"kinds": kinds, "bent": light.bent[kinds == _BOTH]}
-
-
-def _restore_bent(arrays: dict[str, NDArray[Any]]) -> None:
-    """Replace the arrays of `_stored_parts` by the bent part of each bin."""
-    kinds, stored = arrays.pop("kinds"), arrays["bent"]
-    if (found := np.count_nonzero(kinds == _BOTH)) != len(stored) or (kinds > _BOTH).any():
-        raise LumitreeError(f"{len(stored)} bent parts for {found} bins that have both")
-    arrays["bent"] = np.where(kinds == _BENT, arrays["intensity"], np.uint32(0))
-    arrays["bent"][kinds == _BOTH] = stored
-
-
-def _read_counts(description: Record, keys: tuple[str, ...]) -> dict[str, int]:
+def _counts(description: Record, keys: Iterable[str]) -> dict[str, int]:
     counts = {key: description.integer(key) for key in keys}
     for key, count in counts.items():
         if not 0 <= count <= MAX_BINS:
@@ -138,30 +127,17 @@ def _read_counts(description: Record, keys: tuple[str, ...]) -> dict[str, int]:
     return counts
 
 
-def _layouts(
-    counts: tuple[dict[str, int], dict[str, int]], resolution: int
-) -> tuple[list[Layout], list[Layout]]:
-    """Arrays of a stream, in its order: of a field, and of the light inside."""
-    counts_outer, counts_inner = counts
-    outer = [
-        Layout("cells", np.uint8, (counts_outer["cells"], 3)),
-        Layout("lit", np.uint8, (counts_outer["cells"], resolution**2 // 8)),
-        Layout("intensity", np.uint32, (counts_outer["bins"],)),
-        Layout("kinds", np.uint8, (counts_outer["bins"],)),
-        Layout("bent", np.uint32, (counts_outer["divided"],)),
-    ]
-    if not counts_inner:
-        return outer, []
-    cells, entries, divided, distances, curves = (counts_inner[key] for key in _INSIDE_COUNTS)
-    inner: list[tuple[str, Any, tuple[int, ...]]] = [
-        ("cells", np.uint8, (cells, 3)),
-        ("lit", np.uint8, (cells, -(-((resolution // 2) ** 2) // 8))),
-        ("intensity", np.uint32, (entries,)),
-        ("kinds", np.uint8, (entries,)),
-        ("bent", np.uint32, (divided,)),
-        ("reach", np.uint8, (entries,)),
-        ("bent_reach", np.uint8, (entries,)),
-        ("distances", np.float32, (distances,)),
-        ("reach_curves", np.float32, (curves, distances)),
-    ]
-    return outer, [Layout(_INSIDE + name, dtype, shape) for name, dtype, shape in inner]
+def _stored_arrays(light: LightField | LightInside) -> Arrays:
+    """The arrays of a light as a file has them: which light bins have, and the bent part."""
+    straight = np.where(light.bent == 0, _STRAIGHT, _BOTH)
+    kinds = np.where(light.bent == light.intensity, _BENT, straight).astype(np.uint8)
+    return vars(light) | {"kinds": kinds, "bent": light.bent[kinds == _BOTH]}
+
+
+def _restore_bent(arrays: Arrays) -> None:
+    """Replace `kinds` and the stored bent part by the bent part of each bin."""
+    kinds, stored = arrays.pop("kinds"), arrays["bent"]
+    if (found := np.count_nonzero(kinds == _BOTH)) != len(stored) or (kinds > _BOTH).any():
+        raise LumitreeError(f"{len(stored)} bent parts for {found} bins that have both")
+    arrays["bent"] = np.where(kinds == _BENT, arrays["intensity"], np.uint32(0))
+    arrays["bent"][kinds == _BOTH] = stored

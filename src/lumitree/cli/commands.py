@@ -363,7 +363,7 @@ def _render(given: Given) -> Any:
     from lumitree.core.arguments import check_sheet_output
     from lumitree.core.backend import load_rgb
     from lumitree.core.results import plain
-    from lumitree.rendering.saved_passes import forget_passes
+    from lumitree.rendering.render_job import forget_passes
 
     given = dict(given)
     output, places = given.pop("output"), _places(given)
@@ -475,7 +475,7 @@ def _view(given: Given) -> Any:
 
 def _info(given: Given) -> Any:
     import lumitree
-    from lumitree.rendering.asset_info import asset_report
+    from lumitree.rendering.asset_cache import asset_report
 
     return {"asset": asset_report(lumitree.load(given["asset"]), given["asset"])}
 

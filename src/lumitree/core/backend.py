@@ -325,7 +325,6 @@ NETWORK = {
     "jax": "jax",
     "flax": "flax",
     "optax": "optax",
-    "orbax.checkpoint": "orbax-checkpoint",
 }
 
 

@@ -305,21 +305,6 @@ def check_new_folder(path: Path) -> None:
     check_writable(path / "file" if path.is_dir() else path)
 
 
-def check_space(folder: Path, size: int) -> None:
-    """Refuse a folder whose disk has less than `size` bytes of free space.
-
-    Raises:
-        WriteError: there is too little, or the folder cannot be written.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder) as file:
-            for _ in range(0, size, 1 << 20):
-                file.write(bytes(1 << 20))
-    except OSError as error:
-        raise WriteError(folder, error) from error
-
-
 def accepts_name(name: str) -> bool:
     """Whether a file may have this name on this system, apart from its length."""
     return os.name != "nt" or _RESERVED.fullmatch(name) is None

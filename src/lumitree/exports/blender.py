@@ -22,18 +22,19 @@ import sys
 from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from lumitree.asset.array_stream import Arrays
 from lumitree.asset.asset import Asset
 from lumitree.asset.geometry import AssetGeometry
 from lumitree.core.files import json_text, scratch_folder
 from lumitree.core.frames import similarity
 from lumitree.core.octahedral import bilinear_bins
 from lumitree.core.photometry import colour_temperature
+from lumitree.core.results import Json
 from lumitree.errors import LumitreeError, shown
 from lumitree.exports.blender_nodes import BlenderMaterials
 from lumitree.exports.point_lights import PlacedLights, PointLights, Up, turn_up
@@ -113,7 +114,7 @@ def _short(name: str) -> str:
 
 def _surface_data(
     geometry: AssetGeometry, materials: BlenderMaterials, up: Up
-) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+) -> tuple[Json, Arrays]:
     meshes = geometry_meshes(geometry, similarity(turn_up(up, "z")))
     description = {
         "surfaces": list(map(materials.tree, geometry.shapes, meshes)),
@@ -121,22 +122,25 @@ def _surface_data(
             shape.interior and list(shape.interior.absorption) for shape in geometry.shapes
         ],
     }
-    arrays: dict[str, NDArray[Any]] = {}
+    arrays: Arrays = {}
     for index, mesh in enumerate(meshes):
         arrays |= {f"{index}.{name}": values for name, values in mesh.items()}
     arrays |= {f"image {i}": image for i, image in enumerate(geometry.images)}
     return description, arrays
 
 
-def _filled(description: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> str:
-    template = (_FILES / "lamp_script.py").read_text("utf-8")
-    head, tail = template.split("@@DATA@@")
-    return head + _block(description, arrays) + tail
+def _filled(description: Json, arrays: Arrays) -> str:
+    """The script with an archive of NumPy in base64, in lines."""
+    text = json_text(description).encode()
+    content = io.BytesIO()
+    np.savez_compressed(content, description=np.frombuffer(text, np.uint8), **arrays)  # type: ignore[arg-type]
+    coded = base64.b64encode(content.getvalue()).decode("ascii")
+    lines = [coded[start : start + _LINE] for start in range(0, len(coded), _LINE)]
+    head, tail = (_FILES / "lamp_script.py").read_text("utf-8").split("@@DATA@@")
+    return "\n".join([head, *lines, tail])
 
 
-def _light_data(
-    asset: Asset, points: PlacedLights
-) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+def _light_data(asset: Asset, points: PlacedLights) -> tuple[Json, Arrays]:
     """Positions, powers and tables of the lights, in Blender's frame and units."""
     frame, local = asset.frame, points.local
     tables = direction_tables(local, points.rotation.T, 2 * local.resolution)
@@ -159,16 +163,6 @@ def _light_data(
     if np.isfinite(temperature):
         description["temperature"] = temperature
     return description, {"tables": relative.astype(np.float16)}
-
-
-def _block(description: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> str:
-    """An archive of NumPy in base64, in lines."""
-    text = json_text(description).encode()
-    content = io.BytesIO()
-    np.savez_compressed(content, description=np.frombuffer(text, np.uint8), **arrays)  # type: ignore[arg-type]
-    coded = base64.b64encode(content.getvalue()).decode("ascii")
-    lines = [coded[start : start + _LINE] for start in range(0, len(coded), _LINE)]
-    return "\n" + "\n".join(lines) + "\n"
 
 
 def table_directions(height: int) -> NDArray[np.float64]:
@@ -254,8 +248,10 @@ def find_blender(program: str | os.PathLike[str] | None) -> str:
                 f"{shown(program, 200)} is not a program; expected Blender, or a Python with bpy"
             )
         return found
-    found = shutil.which("blender") or _installed()
-    if found is not None:
+    installed = [name for pattern in _PLACES for name in glob.glob(os.path.expandvars(pattern))]
+    # The newest by the numbers in its path: 4.10 is newer than 4.2.
+    installed.sort(key=lambda name: [int(each) for each in re.findall(r"\d+", name)])
+    if found := shutil.which("blender") or next(reversed(installed), None):
         return found
     if importlib.util.find_spec("bpy") is not None:
         return sys.executable
@@ -263,17 +259,6 @@ def find_blender(program: str | os.PathLike[str] | None) -> str:
         "no Blender was found to write the file; name it with --blender, put it on PATH, or "
         "write a .py file, which runs in any Blender"
     )
-
-
-def _installed() -> str | None:
-    """The Blender that an installer put where it does, and not on the search path."""
-    found = [name for pattern in _PLACES for name in glob.glob(os.path.expandvars(pattern))]
-    return max(found, key=_numbers, default=None)
-
-
-def _numbers(name: str) -> list[int]:
-    """Numbers in a path, by which the newest Blender is found: 4.10 is newer than 4.2."""
-    return [int(each) for each in re.findall(r"\d+", name)]
 
 
 def run_script(

@@ -142,7 +142,7 @@ class BlenderMaterials:
             node("ShaderNodeBsdfDiffuse", colour),
             node("ShaderNodeBsdfTranslucent", colour),
         )
-        half = _math("MULTIPLY", _value(material.diffuse_transmission), 0.5)
+        half = _value(material.diffuse_transmission.scaled(0.5))
         clear = node("ShaderNodeBsdfTransparent", colour)
         return _mix(_value(material.transmission), _mix(half, front, behind), clear)
 
@@ -159,7 +159,7 @@ def _principled(material: PbrMaterial) -> Tree:
         "Coat Roughness": _value(material.clearcoat_roughness),
         "IOR": material.index,
         # Cycles has Fresnel's reflectance at a level of 1/2.
-        "Specular IOR Level": _math("MULTIPLY", _value(material.specular), 0.5),
+        "Specular IOR Level": _value(material.specular.scaled(0.5)),
     }
     return node("ShaderNodeBsdfPrincipled", inputs)
 

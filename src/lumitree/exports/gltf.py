@@ -19,6 +19,7 @@ from lumitree.asset.asset import Asset
 from lumitree.asset.materials import Texture, VertexColours
 from lumitree.core.files import json_text
 from lumitree.core.photometry import LUMENS_PER_WATT
+from lumitree.core.results import Json
 from lumitree.errors import shown
 from lumitree.exports.light_profiles import LOST_COLOUR, ProfiledLight, Spot, profiled_lights
 from lumitree.exports.pbr import Layer
@@ -32,8 +33,6 @@ from lumitree.exports.target import (
     blender_spots,
 )
 from lumitree.formats.ies import ies_content
-
-Json = dict[str, Any]
 
 _LOST_DIRECTIONS = (
     "programs without EXT_lights_ies show lights that emit the same in all directions; programs "
@@ -254,11 +253,9 @@ class GltfMaterials:
             volume["attenuationColor"] = np.exp(-np.array(material.absorption) * distance).tolist()
         self._glb.extend(made, "KHR_materials_volume", volume)
 
-    def _layer(
-        self, surface: Surface, layer: Layer, name: str, *, colour: bool = False
-    ) -> dict[str, Any]:
+    def _layer(self, surface: Surface, layer: Layer, name: str, *, colour: bool = False) -> Json:
         """Members of a layer of a name: its factor, and its texture if it is an image."""
-        found: dict[str, Any] = {f"{name}Factor": layer.number}
+        found: Json = {f"{name}Factor": layer.number}
         scale = 1.0
         if layer.image is not None:
             file = self._images.colours(layer) if colour else (self._images.data(layer), 1.0)

@@ -20,7 +20,6 @@ from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.fit.bake_network import bake_network
 from lumitree.fit.config import BakeConfig, Method, Quality, chosen_config
 from lumitree.fit.finishing import finish_bake, open_work_folder, remove_state, save_asset
-from lumitree.fit.light_field.saved_field import LIGHT_FIELD_STATE
 from lumitree.fit.result import BakeResult
 from lumitree.lamp.dataset import Dataset
 from lumitree.lamp.diagnosis import warn_of_faults
@@ -241,7 +240,7 @@ def _bake_lamp(
         lit = with_light(lit, config.lumens, config.temperature)
         if "field" not in parts:
             result = finish_bake(lit, output, watch, lamp, config.irradiance_paths)
-            remove_state(folder, work, result, [LIGHT_FIELD_STATE])
+            remove_state(folder, work, result)
             return result
     with watch.stage("bake"):
         fit = octree_fit.bake(lamp, config.octree, folder.path, config.seed)
@@ -336,9 +335,11 @@ def refine(
         watch = Stopwatch()
         with watch.stage("bake"):
             fit = octree_fit.refine(rough, lamp, octree, at.path, seed)
+        light = rough.light_field
         better = dataclasses.replace(
             fit.asset,
-            light_field=rough.light_field,
+            # A light field of the rough field's rays is made again (`field_light`).
+            light_field=None if light is None or light.traced is None else light,
             geometry=rough.geometry,
             light_factors=rough.light_factors,
         )
@@ -356,8 +357,6 @@ def _finish_fit(
     irradiance_paths: int = 0,
 ) -> BakeResult:
     """`finish_bake` of an asset with the field of an octree fit; removes the saved state."""
-    from lumitree.fit.octree.saved_state import STATE
-
     result = finish_bake(
         asset,
         output,
@@ -369,5 +368,5 @@ def _finish_fit(
         held_out_psnr_uncertainty=round(fit.score.uncertainty, 3),
         rays=fit.rays,
     )
-    remove_state(folder, work, result, [STATE, LIGHT_FIELD_STATE])
+    remove_state(folder, work, result)
     return result

@@ -30,10 +30,9 @@ from lumitree.core.seeds import check_seed
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.fit.config import BakeConfig
 from lumitree.fit.finishing import finish_bake, remove_state
-from lumitree.fit.light_field.saved_field import LIGHT_FIELD_STATE
 from lumitree.fit.network.config import TrainConfig
 from lumitree.fit.result import BakeResult, CaptureResult, TrainResult
-from lumitree.lamp.dataset import DATASET_FILES, MANIFEST, MAX_VIEWS, Split
+from lumitree.lamp.dataset import MANIFEST, MAX_VIEWS, Split
 from lumitree.lamp.diagnosis import warn_of_faults
 from lumitree.octree.build import check_tree_depth
 
@@ -58,7 +57,7 @@ def bake_network(
         Interrupted: a signal was received before the asset was complete.
     """
     check_network()
-    from lumitree.fit.network.train import RUN_FILES, has_checkpoint
+    from lumitree.fit.network.train import RUN
     from lumitree.lamp.luminaire import lamp_workers, load_luminaire
 
     watch, light_field, network = Stopwatch(), None, config.network
@@ -78,7 +77,7 @@ def bake_network(
         progress=progress,
     )
     run = folder.path / "run"
-    resume = has_checkpoint(run)
+    resume = (run / RUN).exists()
     trained = _train(captured.dataset, run, network.train, config.seed, resume, progress)
     if trained.stopped_by is not None:
         raise Interrupted("the same command continues", trained.stopped_by)
@@ -92,9 +91,7 @@ def bake_network(
             lamp,
             config,
         )
-    names = [f"dataset/{name}" for name in DATASET_FILES]
-    names += [*(f"run/{name}" for name in RUN_FILES), LIGHT_FIELD_STATE]
-    remove_state(folder, work, extracted, names)
+    remove_state(folder, work, extracted)
     seconds = watch.seconds | captured.seconds | trained.seconds | extracted.seconds
     return dataclasses.replace(extracted, seconds=seconds, peak_memory_bytes=peak_memory_bytes())
 
@@ -187,7 +184,7 @@ def train(
 
     Args:
         dataset: folder of the dataset, made by `capture`.
-        output: folder of the run, for checkpoints and the history of the loss.
+        output: folder of the run.
         quality: settings of the network: "preview", minutes on 2 CPU cores; or "paper", days on a
             GPU.
         seed: seed of the initial weights, the batches and the jitter, 0 to 2³¹ - 1. With `resume`

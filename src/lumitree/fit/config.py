@@ -79,14 +79,14 @@ class BakeConfig:
         method: how a radiance field is made: "octree", by gradient descent from traced rays; or
             "network", as in the paper: views, a network, and an octree of its output.
         parts: what the asset gets. "light": the light field, 5 to 12 s on 2 CPU cores; it
-            illuminates scenes. "field": the radiance field; images show it, and it illuminates if
-            there is no light field. Without it images show the light field, which
-            is blurred and lets all light through. "geometry": the luminaire itself, which images
-            under `lumitree_path` show in place of the field; beside one of the other two. A part
-            that is named here and cannot be made is an error. None: "light" and "geometry", which
-            images under `lumitree_path` need; "light" and "field" by the method "network", and,
-            with a warning, for a luminaire that cannot be stored because it has something that is
-            not listed in docs/format.md.
+            illuminates scenes. "field": the radiance field, which images show; without the part
+            "light", a light field is made of its rays. Without a field images show the light field,
+            which is blurred and lets all light through. "geometry": the luminaire itself, which
+            images under `lumitree_path` show in place of the field; beside one of the other two. A
+            part that is named here and cannot be made is an error. None: "light" and "geometry",
+            which images under `lumitree_path` need; "light" and "field" by the method "network",
+            and, with a warning, for a luminaire that cannot be stored because it has something that
+            is not listed in docs/format.md.
         irradiance_paths: number of light paths, and of rays of the asset, by which the irradiance
             around the asset is compared with the irradiance around the luminaire at the end, as in
             `evaluate`; 0 to 67,108,864. 2¹⁸ to 2²⁰ take 1 to 10 s on 2 CPU cores; with 2¹⁹ the mean

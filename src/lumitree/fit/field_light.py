@@ -23,7 +23,7 @@ def with_field_light(asset: Asset) -> Asset:
     if asset.light_field is not None or not asset.num_leaves:
         return asset
     load_mitsuba()
-    from lumitree.rendering.asset_rays import AssetRays
+    from lumitree.rendering.asset_flux import AssetRays
     from lumitree.trace.histograms import Histogram
     from lumitree.trace.light_paths import as_rows
 

@@ -2,18 +2,20 @@
 
 import contextlib
 import dataclasses
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lumitree.asset.asset import Asset
 from lumitree.asset.file import as_stored, save
+from lumitree.core.checkpoint import CHECKPOINTS
 from lumitree.core.files import FilePath, WorkFolder, WriteError, scratch_folder
 from lumitree.core.interruption import deferred_interrupt, interruptible, interruption_behind
 from lumitree.core.results import Stopwatch
 from lumitree.errors import LumitreeError, shown
 from lumitree.fit.field_light import with_field_light
 from lumitree.fit.result import BakeResult
+from lumitree.lamp.dataset import DATASET_FILES
 from lumitree.measure.irradiance import measure_irradiance
 
 if TYPE_CHECKING:
@@ -86,9 +88,9 @@ def finish_bake(
         from lumitree.trace.flux import emitted_spectrum
 
         asset = dataclasses.replace(asset, spectrum=emitted_spectrum(luminaire))
-    asset = as_stored(with_field_light(asset))
     irradiance, complete = None, stopped_by is None
     with deferred_interrupt() as interruption:
+        asset = as_stored(with_field_light(asset))
         path = save_asset(asset, output)
     stopped_by = interruption.number if stopped_by is None else stopped_by
     compares = luminaire is not None and irradiance_paths > 0
@@ -112,9 +114,7 @@ def finish_bake(
     )
 
 
-def remove_state(
-    folder: WorkFolder, work: FilePath | None, result: BakeResult, names: Iterable[str]
-) -> None:
+def remove_state(folder: WorkFolder, work: FilePath | None, result: BakeResult) -> None:
     """Remove the saved state of a bake, unless it is not finished or its folder is the user's."""
     if work is None and result.finished:
-        folder.remove(names)
+        folder.remove([*CHECKPOINTS, *(f"dataset/{name}" for name in DATASET_FILES)])

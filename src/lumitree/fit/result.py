@@ -5,7 +5,7 @@ from pathlib import Path
 
 from lumitree.asset.asset import Asset
 from lumitree.core.results import Json, Result, plain
-from lumitree.rendering.asset_info import asset_json
+from lumitree.rendering.asset_cache import asset_json
 
 
 @dataclasses.dataclass(frozen=True, repr=False, kw_only=True)

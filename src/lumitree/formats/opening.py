@@ -120,7 +120,7 @@ class Opening:
     def surface(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Points [N, 3] of the surface, m, and their areas times outward normals [N, 3].
 
-        The areas are relative to each other. Of a flat opening the normals have no meaning; the
+        The areas are relative to each other. The normals of a flat opening have no meaning; the
         lengths of the vectors are still the areas.
         """
         half = np.array(self.sides) / 2

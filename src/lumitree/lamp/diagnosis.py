@@ -14,11 +14,14 @@ Unlike by Mitsuba's rays, triangles are intersected in double precision, and no 
 because it is close to another one.
 """
 
+from __future__ import annotations
+
 import dataclasses
 import importlib
+import itertools
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +33,9 @@ from lumitree.core.mitsuba_meshes import is_flipped, mesh_arrays
 from lumitree.errors import LumitreeWarning
 from lumitree.lamp.luminaire import Luminaire
 from lumitree.lamp.meshes import Floats
+
+if TYPE_CHECKING:
+    import mitsuba as mi
 
 Indices = NDArray[np.int64]
 
@@ -76,28 +82,32 @@ class Crossings:
         """[N] +1 where the line enters the glass, -1 where it leaves it."""
         return np.where((self.normal * self.direction).sum(axis=1) < 0, 1, -1)
 
-    def take(self, index: NDArray) -> "Crossings":
+    def take(self, index: NDArray) -> Crossings:
         """The crossings at `index`, which may be a mask."""
         return Crossings(*(value[index] for value in vars(self).values()))
 
 
-def trace_lines(shapes: Sequence[Any]) -> Crossings:
+def trace_lines(shapes: Sequence[mi.Shape]) -> Crossings:
     """Crossings with the surfaces of refracting shapes, along three directions that are no axes."""
-    meshes = {i: _Mesh.of(shape) for i, shape in enumerate(shapes) if shape.is_mesh()}
+    meshes = {i: _triangles(shape) for i, shape in enumerate(shapes) if shape.is_mesh()}
     sides = [_denser_side(shape) for shape in shapes]
     # Lines along the axes would often be parallel to faces, or meet edges.
     turn = rotation([0.36, 0.48, 0.8], 40.0)
     pieces = []
     for number in range(3):
         frame = np.roll(turn, number, axis=1)
-        turned = {i: mesh.turned(frame) for i, mesh in meshes.items()}
-        points = [mesh.vertices for mesh in turned.values()]
-        points += [_box_corners(s) @ frame for i, s in enumerate(shapes) if i not in meshes]
+        turned = {i: corners @ frame for i, (corners, _) in meshes.items()}
+        points = [corners.reshape(-1, 3) for corners in turned.values()]
+        for i, shape in enumerate(shapes):
+            if i not in meshes:
+                box = zip(np.ravel(shape.bbox().min), np.ravel(shape.bbox().max), strict=True)
+                points.append(np.array(list(itertools.product(*box)), np.float64) @ frame)
         grid = _Grid.over(number, frame, np.concatenate(points), turned.values())
         for i, shape in enumerate(shapes):
             if i in meshes:
                 line, distance, face = grid.cross_triangles(turned[i])
-                pieces.append(grid.crossings(line, i, distance, sides[i] * meshes[i].normals[face]))
+                normal = sides[i] * meshes[i][1][face]
+                pieces.append(grid.crossings(line, i, distance, normal))
             else:
                 pieces += [
                     grid.crossings(line, i, distance, sides[i] * normal)
@@ -108,7 +118,7 @@ def trace_lines(shapes: Sequence[Any]) -> Crossings:
     return together.take(np.lexsort((together.distance, together.line)))
 
 
-def _denser_side(shape: Any) -> int:
+def _denser_side(shape: mi.Shape) -> int:
     """+1 if the normal points out of the denser medium, else -1."""
     # Only what is needed is read: Mitsuba cannot return some parameters of other plugins.
     parameters = load_mitsuba().traverse(shape.bsdf())
@@ -117,44 +127,19 @@ def _denser_side(shape: Any) -> int:
     return -1 if eta and eta[0] < 1 else 1
 
 
-@dataclasses.dataclass(frozen=True)
-class _Mesh:
-    """Vertices [V, 3], faces [F, 3], and unit normals [F, 3] of the faces.
+def _triangles(shape: mi.Shape) -> tuple[Floats, Floats]:
+    """Corners [F, 3, 3] of a mi.Mesh in double precision, and unit normals [F, 3] of its faces.
 
     The normals are on the same side as Mitsuba's shading normals.
     """
-
-    vertices: Floats
-    faces: Indices
-    normals: Floats
-
-    @staticmethod
-    def of(shape: Any) -> "_Mesh":
-        """A mi.Mesh in double precision."""
-        arrays = mesh_arrays(shape)
-        vertices, faces = arrays["vertices"].astype(np.float64), arrays["faces"].astype(np.int64)
-        a, b, c = (vertices[faces[:, corner]] for corner in range(3))
-        normals = np.cross(b - a, c - a)
-        normals /= np.maximum(np.sqrt((normals**2) @ np.ones(3)), 1e-300)[:, None]
-        if "normals" in arrays:
-            shading = arrays["normals"].astype(np.float64)
-            mean = sum(shading[faces[:, corner]] for corner in range(3))
-            normals[((normals * mean) @ np.ones(3)) < 0] *= -1
-        return _Mesh(vertices, faces, -normals if is_flipped(shape) else normals)
-
-    def turned(self, frame: Floats) -> "_Mesh":
-        """The mesh in coordinates along the columns of `frame`; normals are not changed."""
-        return dataclasses.replace(self, vertices=self.vertices @ frame)
-
-    def boxes(self) -> tuple[Floats, Floats]:
-        """Smallest and largest first two coordinates [F, 2] of every triangle."""
-        a, b, c = (self.vertices[self.faces[:, corner], :2] for corner in range(3))
-        return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
-
-
-def _box_corners(shape: Any) -> Floats:
-    low, high = np.ravel(shape.bbox().min), np.ravel(shape.bbox().max)
-    return np.stack(np.meshgrid(*zip(low, high, strict=True)), -1).reshape(-1, 3).astype(np.float64)
+    arrays = mesh_arrays(shape)
+    corners = arrays["vertices"].astype(np.float64)[arrays["faces"]]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    if "normals" in arrays:
+        mean = arrays["normals"].astype(np.float64)[arrays["faces"]].sum(axis=1)
+        normals[(normals * mean).sum(axis=1) < 0] *= -1
+    return corners, -normals if is_flipped(shape) else normals
 
 
 @dataclasses.dataclass(frozen=True)
@@ -178,13 +163,10 @@ class _Grid:
     start: float
 
     @staticmethod
-    def over(number: int, frame: Floats, points: Floats, meshes: Iterable[_Mesh]) -> "_Grid":
-        """Grid that covers points [N, 3]; points and meshes are in coordinates of `frame`."""
+    def over(number: int, frame: Floats, points: Floats, meshes: Iterable[Floats]) -> _Grid:
+        """Grid that covers points [N, 3]; points and triangles are in coordinates of `frame`."""
         low, extent = points.min(axis=0), np.ptp(points, axis=0)
-        area = 0.0
-        for mesh in meshes:
-            smallest, largest = mesh.boxes()
-            area += float(((largest - smallest)[:, 0] * (largest - smallest)[:, 1]).sum())
+        area = sum(float(np.ptp(corners[..., :2], axis=1).prod(axis=1).sum()) for corners in meshes)
         spacing = max(float(extent[:2].max()) / _MAX_GRID, (area / _MAX_CANDIDATES) ** 0.5)
         columns, rows = (max(1, int(n)) for n in extent[:2] / spacing)
         start = float(low[2] - extent.max())
@@ -203,9 +185,9 @@ class _Grid:
             _RAY_EPSILON * (1 + np.abs(points).max(axis=1, initial=0)),
         )
 
-    def cross_triangles(self, mesh: _Mesh) -> tuple[Indices, Floats, Indices]:
-        """Line [N], distance [N] and face [N] of crossings with a mesh in the grid's frame."""
-        low, high = mesh.boxes()
+    def cross_triangles(self, corners: Floats) -> tuple[Indices, Floats, Indices]:
+        """Line [N], distance [N] and face [N] of crossings with triangles in the grid's frame."""
+        low, high = corners[..., :2].min(axis=1), corners[..., :2].max(axis=1)
         first = np.maximum(np.ceil((low - self.low) / self.spacing).astype(np.int64), 0)
         last = np.floor((high - self.low) / self.spacing).astype(np.int64)
         size = np.maximum(np.minimum(last, np.array(self.count) - 1) - first + 1, 0)
@@ -216,14 +198,14 @@ class _Grid:
         column = first[face, 0] + within % size[face, 0]
         row = first[face, 1] + within // size[face, 0]
         x, y = (self.low[k] + self.spacing * index for k, index in enumerate((column, row)))
-        a, b, c = (mesh.vertices[mesh.faces[face, corner]] for corner in range(3))
+        a, b, c = np.moveaxis(corners[face], 1, 0)
         weights = np.stack([_area(b, c, x, y), _area(c, a, x, y), _area(a, b, x, y)])
         inside = (weights > 0).all(axis=0) | (weights < 0).all(axis=0)
         distance = (weights * np.stack([a[:, 2], b[:, 2], c[:, 2]])).sum(axis=0)[inside]
         distance /= weights.sum(axis=0)[inside]
         return (column + self.count[0] * row)[inside], distance, face[inside]
 
-    def cross_shape(self, shape: Any) -> Iterator[tuple[Indices, Floats, Floats]]:
+    def cross_shape(self, shape: mi.Shape) -> Iterator[tuple[Indices, Floats, Floats]]:
         """Line [N], distance [N] and normal [N, 3] of crossings with a shape that is not a mesh."""
         mi, dr = load_mitsuba(), importlib.import_module("drjit")
         line = np.arange(self.count[0] * self.count[1])
@@ -239,8 +221,7 @@ class _Grid:
             point, normal = (np.array(vector, np.float64).T[hit] for vector in (si.p, si.n))
             line = line[hit]
             yield line, point @ self.frame[:, 2], normal
-            # Continue behind this surface. Each shape is intersected alone, so that no other shape
-            # is missed.
+            # Continue behind this surface. No other shape is missed: each is intersected by itself.
             step = 2 * _RAY_EPSILON * (1 + np.abs(point).max(initial=0))
             start = point + step * self.frame[:, 2]
 
@@ -267,7 +248,7 @@ def warn_of_faults(luminaire: Luminaire) -> list[str]:
     return faults
 
 
-def diagnose(scene: Any) -> list[str]:
+def diagnose(scene: mi.Scene) -> list[str]:
     """Faults of a scene's glass.
 
     A fault that is smaller than the spacing of the lines (1/256 of the extent of the glass) may be
@@ -312,7 +293,7 @@ def diagnose(scene: Any) -> list[str]:
     return messages
 
 
-def _is_dielectric(shape: Any) -> bool:
+def _is_dielectric(shape: mi.Shape) -> bool:
     """Whether the surface refracts: Mitsuba sets NonSymmetric where refraction scales radiance."""
     flags = load_mitsuba().BSDFFlags
     kind = shape.bsdf().flags()

@@ -46,7 +46,6 @@ grazing angles.
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import operator
 from collections.abc import Callable, Sequence
@@ -86,19 +85,6 @@ _COAT, _COAT_VARIANCE = 0.04, 0.0145
 _BASE, _FACET, _BEHIND, _CROSSED, _OF_COAT = range(5)
 
 
-@dataclasses.dataclass(frozen=True)
-class GlassAlbedo:
-    """The surface of a dielectric, seen from both sides.
-
-    Attributes:
-        table: [2, SIZE, SIZE, 2] reflected part and sum of both parts; from outside, from inside.
-        reflectance: of light from all directions outside, by Fresnel's equations.
-    """
-
-    table: Floats
-    reflectance: float
-
-
 @functools.cache
 def reflection_albedo() -> Floats:
     """[SIZE, SIZE, 2] albedo of microfacets that reflect 1 - s and s, with s = (1 - cos)⁵.
@@ -116,9 +102,12 @@ def reflection_albedo() -> Floats:
     return _tabulated(reflected)
 
 
-@functools.lru_cache(maxsize=64)
-def glass_albedo(ior: float) -> GlassAlbedo:
-    """The albedo of a dielectric's surface; `ior` is inside over outside, above 1."""
+def glass_albedo(ior: float) -> tuple[Floats, float]:
+    """Albedo of a dielectric's surface, and its reflectance for light from all directions outside.
+
+    The albedo [2, SIZE, SIZE, 2] is the reflected part and the sum of both parts, from outside and
+    from inside. `ior` is inside over outside, above 1.
+    """
 
     def side(eta: float, alpha: float, cosine: float) -> tuple[float, float]:
         normal, facing = _visible_normals(alpha, cosine)
@@ -131,7 +120,7 @@ def glass_albedo(ior: float) -> GlassAlbedo:
     sides = [_tabulated(functools.partial(side, eta)) for eta in (ior, 1 / ior)]
     cosines = (np.arange(4096) + 0.5) / 4096
     reflectance = 2 * (cosines * _fresnel(cosines, ior)[0]).mean()
-    return GlassAlbedo(np.stack(sides), float(reflectance))
+    return np.stack(sides), float(reflectance)
 
 
 def hemisphere_mean(table: Floats) -> Floats:
@@ -239,12 +228,12 @@ class GlassLookup:
     """`glass_albedo`, of one index of refraction."""
 
     def __init__(self, ior: float) -> None:
-        found = glass_albedo(ior)
+        table, reflectance = glass_albedo(ior)
         # The sides one above the other; a lookup stays within one of them.
-        self._albedo = _Table(found.table.reshape(2 * SIZE, SIZE, 2))
-        mean = hemisphere_mean(found.table)[..., 1].T
+        self._albedo = _Table(table.reshape(2 * SIZE, SIZE, 2))
+        mean = hemisphere_mean(table)[..., 1].T
         self._mean = _Table(np.stack([mean, mean], axis=1))
-        self._transmittance = 1 - found.reflectance
+        self._transmittance = 1 - reflectance
 
     def albedo(
         self, inside: mi.Bool, cosine: mi.Float, roughness: mi.Float

@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.asset.geometry import Medium
 from lumitree.asset.materials import VertexColours
 from lumitree.core.images import linear_from_srgb
 from lumitree.core.photometry import RGB
@@ -59,20 +60,6 @@ class Texture:
 
 Colour = RGB | Texture | VertexColours
 Value = float | Texture
-
-
-@dataclasses.dataclass(frozen=True)
-class Medium:
-    """A homogeneous medium that fills a closed surface.
-
-    Attributes:
-        absorption, scattering: R, G and B, per unit length, at least 0.
-        anisotropy: mean cosine of the scattering angle (Henyey-Greenstein), in (-1, 1).
-    """
-
-    absorption: RGB
-    scattering: RGB = (0.0, 0.0, 0.0)
-    anisotropy: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -124,7 +111,7 @@ class Diffuse:
 
 
 @dataclasses.dataclass(frozen=True)
-class Principled:
+class MetallicRoughness:
     """The material of glTF 2.0, which `lamp.metallic_roughness` renders; all in [0, 1] but `ior`.
 
     Attributes:
@@ -150,7 +137,7 @@ class Principled:
     thin: bool = False
 
 
-Surface = Glass | Metal | Diffuse | Principled
+Surface = Glass | Metal | Diffuse | MetallicRoughness
 
 
 @dataclasses.dataclass(frozen=True)
@@ -187,7 +174,7 @@ def painted(surface: Surface) -> Surface | None:
     match surface:
         case Diffuse():
             return Diffuse(VertexColours())
-        case Principled():
+        case MetallicRoughness():
             return dataclasses.replace(surface, base_color=VertexColours())
         case _:
             return None
@@ -195,7 +182,7 @@ def painted(surface: Surface) -> Surface | None:
 
 def transmits(surface: Surface) -> bool:
     """Whether light crosses a surface, so that its BSDF defines both sides."""
-    if isinstance(surface, Principled):
+    if isinstance(surface, MetallicRoughness):
         diffuse = surface.thin and surface.diffuse_transmission > 0
         return diffuse or isinstance(surface.transmission, Texture) or surface.transmission > 0
     return isinstance(surface, Glass)

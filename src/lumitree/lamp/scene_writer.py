@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset import materials as asset_materials
-from lumitree.asset.materials import MetallicRoughness, VertexColours
+from lumitree.asset.geometry import Medium
+from lumitree.asset.materials import VertexColours
 from lumitree.core.backend import load_mitsuba, second_thread
 from lumitree.core.files import accepts_name, atomic_path
 from lumitree.core.frames import is_far, similarity
@@ -30,11 +31,10 @@ from lumitree.lamp.parts import (
     Geometry,
     Glass,
     Material,
-    Medium,
     Metal,
+    MetallicRoughness,
     Names,
     Part,
-    Principled,
     Surface,
     Texture,
     Value,
@@ -51,8 +51,8 @@ _PREFIX = "material_"
 # Roughness below which a surface is smooth: the geometry of an asset has no smaller alpha than its
 # square.
 _SMOOTH = 0.01
-# Parameters of the BSDF that are a number or a texture, and the attributes of `Principled`.
-_PRINCIPLED = {
+# Parameters of the BSDF that are a number or a texture, and the attributes of `MetallicRoughness`.
+_PARAMETERS = {
     **{name: name for name in ("metallic", "roughness")},
     "anisotropic": "anisotropy",
     "eta": "ior",
@@ -238,16 +238,16 @@ class _Writer:
             case Diffuse():
                 bsdf = SubElement(parent, "bsdf", {"type": "diffuse", **name})
                 self._colour(bsdf, "reflectance", surface.reflectance)
-            case Principled():
-                self._principled(parent, surface, name)
+            case MetallicRoughness():
+                self._metallic_roughness(parent, surface, name)
 
     def _metal(self, parent: Element, metal: Metal, name: dict[str, str]) -> None:
         rough = metal.roughness >= _SMOOTH
         if rough and metal.microfacets == "ggx":
             reflectance = normal_reflectance(asset_materials.Conductor(material=metal.conductor))
             colour = tuple((np.array(metal.tint) * reflectance).tolist())
-            surface = Principled(colour, metallic=1.0, roughness=metal.roughness)
-            self._principled(parent, surface, name)
+            surface = MetallicRoughness(colour, metallic=1.0, roughness=metal.roughness)
+            self._metallic_roughness(parent, surface, name)
             return
         kind = "roughconductor" if rough else "conductor"
         bsdf = SubElement(parent, "bsdf", {"type": kind, **name})
@@ -260,10 +260,10 @@ class _Writer:
         rough = glass.roughness >= _SMOOTH and not glass.thin
         if rough and glass.microfacets == "ggx":
             red, green, blue = (channel**2 for channel in glass.tint)
-            surface = Principled(
+            surface = MetallicRoughness(
                 (red, green, blue), roughness=glass.roughness, ior=glass.ior, transmission=1.0
             )
-            self._principled(parent, surface, name)
+            self._metallic_roughness(parent, surface, name)
             return
         kind = "thindielectric" if glass.thin else "roughdielectric" if rough else "dielectric"
         bsdf = SubElement(parent, "bsdf", {"type": kind, **name})
@@ -274,10 +274,14 @@ class _Writer:
         if glass.tint != WHITE:
             _rgb(bsdf, "specular_transmittance", glass.tint)
 
-    def _principled(self, parent: Element, surface: Principled, name: dict[str, str]) -> None:
-        bsdf = SubElement(parent, "bsdf", {"type": MetallicRoughness.plugin, **name})
+    def _metallic_roughness(
+        self, parent: Element, surface: MetallicRoughness, name: dict[str, str]
+    ) -> None:
+        bsdf = SubElement(
+            parent, "bsdf", {"type": asset_materials.MetallicRoughness.plugin, **name}
+        )
         self._colour(bsdf, "base_color", surface.base_color)
-        for parameter, attribute in _PRINCIPLED.items():
+        for parameter, attribute in _PARAMETERS.items():
             self._value(bsdf, parameter, getattr(surface, attribute))
         _add(bsdf, "boolean", "thin", "true" if surface.thin else "false")
 

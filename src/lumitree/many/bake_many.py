@@ -14,6 +14,7 @@ from typing import Any
 from lumitree.asset.file import fingerprint_of, load, save
 from lumitree.core.arguments import check_asset_output, check_count
 from lumitree.core.backend import in_turn, load_rgb
+from lumitree.core.checkpoint import CHECKPOINTS, OtherJobError
 from lumitree.core.executor import check_executor, run_tasks, variant_here
 from lumitree.core.files import FilePath, WorkFolder, WriteError
 from lumitree.core.interruption import deferred_interrupt, interruptible, interruption_behind
@@ -252,18 +253,15 @@ def _kept_or_baked(
     except LumitreeError:
         # It is damaged, or of another version.
         pass
-    # Needs Mitsuba's variant.
-    from lumitree.fit.octree.saved_state import STATE, OtherBakeError
-
     bake_lamp = functools.partial(
         bake, luminaire, path, config, variant=job.variant, progress=progress
     )
     try:
         result = bake_lamp()
-    except OtherBakeError:
+    except OtherJobError:
         # The lamp or its settings have changed since its bake was interrupted.
         with WorkFolder(work_folder_of(path)) as work:
-            work.remove([STATE])
+            work.remove(CHECKPOINTS)
         result = bake_lamp()
     # Otherwise a signal would make the next call repeat a bake that is complete.
     with deferred_interrupt() as interruption:

@@ -31,8 +31,7 @@ from lumitree.lamp.dataset import MAX_VIEWS, Dataset, Frame, OpacityKind
 from lumitree.lamp.diagnosis import warn_of_faults
 from lumitree.lamp.source import dataset_folder
 from lumitree.measure.irradiance import check_flux, check_irradiance_paths, evaluate_irradiance
-from lumitree.rendering.asset_cache import asset_of, open_asset
-from lumitree.rendering.asset_info import asset_json
+from lumitree.rendering.asset_cache import asset_json, asset_of, open_asset
 
 if TYPE_CHECKING:
     from lumitree.lamp.luminaire import Luminaire, LuminaireLike
@@ -347,8 +346,7 @@ def evaluate_views(asset: Asset, dataset: Dataset) -> Evaluation:
     Raises:
         LumitreeError: the dataset shows a luminaire of other proportions, or nothing.
     """
-    from lumitree.rendering.asset_images import geometry_camera
-    from lumitree.rendering.asset_views import baked_view
+    from lumitree.rendering.asset_images import baked_view, geometry_camera
 
     manifest = dataset.manifest
     _check_proportions(asset, manifest.local_frame, manifest.luminaire)

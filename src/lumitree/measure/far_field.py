@@ -35,8 +35,7 @@ from lumitree.formats.type_c import (
 from lumitree.lamp.luminaire import Luminaire
 from lumitree.measure.batches import BATCHES, RayBatches
 from lumitree.measure.near_field import NearFieldTest
-from lumitree.rendering.asset_flux import asset_watts, intensity_by_bin
-from lumitree.rendering.asset_rays import AssetRays
+from lumitree.rendering.asset_flux import AssetRays, asset_watts, intensity_by_bin
 from lumitree.trace.flux import check_output, emitted_spectrum
 from lumitree.trace.light_paths import EmittedRays, LampRays, RayBatch
 

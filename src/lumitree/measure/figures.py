@@ -18,15 +18,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from lumitree.core.drawing import (
-    OPACITY,
-    ColourScale,
-    Sheet,
-    Tile,
-    image_grid,
-    pdf_file,
-    text_page,
-)
 from lumitree.core.files import write_bytes
 from lumitree.core.images import auto_exposure, tonemap
 from lumitree.errors import shown
@@ -44,6 +35,15 @@ from lumitree.measure.photometric_figures import (
     ugr_rows,
 )
 from lumitree.measure.receivers import AreaFigures, Receivers
+from lumitree.rendering.drawing import (
+    OPACITY,
+    ColourScale,
+    Sheet,
+    Tile,
+    image_grid,
+    pdf_file,
+    text_page,
+)
 
 # Most views of a contact sheet.
 MAX_ROWS = 6

@@ -3,7 +3,7 @@
 import dataclasses
 import math
 import warnings
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +11,12 @@ from scipy.ndimage import label
 
 from lumitree.core.photometry import luminance
 from lumitree.errors import LumitreeError, LumitreeWarning, explained
-from lumitree.rendering.camera_view import CameraView
 from lumitree.rendering.render import RenderResult
 
-# Brighter pixels are sources: of the UGR in mean luminances of the others, of the DGP in cd/m².
+if TYPE_CHECKING:
+    from lumitree.rendering.scene import CameraView
+
+# Brighter pixels are sources: for the UGR in mean luminances of the others, for the DGP in cd/m².
 _BRIGHT = 5
 _BRIGHT_DAYLIGHT = 2000.0
 # A larger difference between the ratings of the image and of half its resolution is warned of.
@@ -27,9 +29,9 @@ class Glare:
 
     Attributes:
         ugr: Unified Glare Rating (CIE 117), of the sources in the image: from 10, not perceptible,
-            to 28, intolerable. A source is what is brighter than 5 times the mean luminance of the
-            rest of the image. NaN without a source, with sources of single pixels only, and before
-            a background that is black.
+            to 28, intolerable. Pixels brighter than 5 times the mean luminance of the rest of the
+            image are sources. NaN without a source, with sources of single pixels only, and before
+            a black background.
         dgp: Daylight Glare Probability, 0 to 1, of sources above 2,000 cd/m²; it holds for
             daylight, and for a vertical illuminance above 380 lx.
         vertical_illuminance: at the eye, lx.
@@ -56,14 +58,14 @@ def glare(image: RenderResult, vertical_illuminance: float) -> Glare:
     Guth, and below the line of sight by Iwata and Tokura. Every pixel counts with its own
     luminance, so a bright spot of a lamp is not averaged over the lamp.
 
-    The image is taken for all that the eye sees, apart from the vertical illuminance. So let it be
-    wide: what glares is no source if it is not in the image. Sources should be 6 pixels wide or
-    more. A warning says that the image at half its resolution has another UGR, by 1 or more.
+    Apart from the vertical illuminance, the image stands for all that the eye sees. So let it be
+    wide: a source outside of it does not count. Sources should be 6 pixels wide or more. A warning
+    says that the image at half its resolution has another UGR, by 1 or more.
 
     Args:
         image: of a perspective camera, 64 pixels wide and high or more.
-        vertical_illuminance: illuminance at the camera, with its direction of view as normal, lx:
-            as `illuminance` finds it. Where it is not known, NaN, or not positive, neither is DGP.
+        vertical_illuminance: illuminance at the camera, with its direction of view as normal, lx,
+            as of `illuminance`. Without a positive number the DGP is NaN.
 
     Raises:
         LumitreeError: the camera has no `CameraView`, or the image is too small.
@@ -104,7 +106,7 @@ def glare(image: RenderResult, vertical_illuminance: float) -> Glare:
 class _View:
     """Luminances [H, W], cd/m², and solid angles of their pixels, sr."""
 
-    def __init__(self, luminances: NDArray[np.float64], camera: CameraView) -> None:
+    def __init__(self, luminances: NDArray[np.float64], camera: "CameraView") -> None:
         height, width = luminances.shape
         halves = [math.tan(math.radians(each) / 2) for each in (camera.horizontal, camera.vertical)]
         # Offsets from the line of sight at a distance of 1.

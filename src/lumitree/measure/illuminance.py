@@ -195,13 +195,18 @@ def illuminance(
     metres = metres_of(unit)
     load_rgb(variant)
     from lumitree.measure.illuminance_estimate import estimate
-    from lumitree.rendering.scene import load_room, open_placements, place_luminaires, scene_title
+    from lumitree.rendering.scene import (
+        load_without_camera,
+        open_placements,
+        place_luminaires,
+        scene_title,
+    )
 
     watch = Stopwatch()
     with reporting(progress):
         with watch.stage("load"):
             title = scene_title(scene)
-            room, shapes = load_room(scene)
+            room, shapes = load_without_camera(scene)
             chosen = [chosen_shapes(each, room, shapes, title) for each in surfaces]
             areas = collect(planes, surfaces, chosen, points, normals, seed)
             placed = open_placements(placements, metres)

@@ -237,7 +237,7 @@ def estimate(
             enough = (variance <= goal) & (~unseen | (number >= _UNSEEN))
             if not rest.hits.any():
                 enough &= number.sum() >= _UNSEEN
-            # Doubt alone has a limit.
+            # Samples for doubt are limited.
             enough |= (known <= goal) & (number >= _MAX_UNSEEN)
             left = np.flatnonzero(~enough & ~lost)
             part = np.where(lost, 1, _ratio(goal, np.maximum(goal, variance)))

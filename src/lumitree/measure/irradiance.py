@@ -54,7 +54,7 @@ _LARGEST_RMS = 0.1
 # from the middle, local units.
 _FEW_CELLS, _FAR = 20, 0.5
 # Camera paths of the comparison of flux. Before it warns, both fluxes are estimated again by other
-# and more paths: one lamp in some hundreds differs by chance.
+# and more paths: one lamp in some hundreds differs randomly.
 _CAMERA_PATHS, _PATHS_AGAIN = 1 << 20, 1 << 22
 # The fluxes differ if they do so by more standard errors than this, and by more than this part.
 _ERRORS, _PART = 3, 0.02
@@ -235,7 +235,7 @@ def luminaire_irradiance(luminaire: "Luminaire", num_paths: int, *, seed: int = 
 
 def asset_irradiance(asset: Asset, num_rays: int, *, seed: int = 0) -> Irradiance:
     """Irradiance that a baked luminaire causes, by rays sampled from its emission."""
-    from lumitree.rendering.asset_rays import AssetRays
+    from lumitree.rendering.asset_flux import AssetRays
 
     return rays_irradiance(AssetRays(asset), asset.frame.half_extents, num_rays, seed=seed)
 

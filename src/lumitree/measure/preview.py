@@ -30,8 +30,8 @@ from lumitree.lamp.scene_shapes import SceneShape
 from lumitree.rendering.asset_cache import asset_of
 
 if TYPE_CHECKING:
-    from lumitree.core.drawing import Sheet
     from lumitree.lamp.luminaire import Luminaire, LuminaireLike
+    from lumitree.rendering.drawing import Sheet
     from lumitree.trace.cameras import ViewImages
 
 # Numbers of light paths of a preview, for the flux and for the flux by number of bounces.
@@ -357,7 +357,7 @@ def draw_preview(
     Rows: the lamp in soft light, its own radiance at two exposures, geometric opacity and
     straight-through opacity; of an asset, which is `baked`, the two are one.
     """
-    from lumitree.core.drawing import OPACITY, Tile, image_grid
+    from lumitree.rendering.drawing import OPACITY, Tile, image_grid
 
     exposure, stops, views = preview.exposure, preview.more_stops, preview.images.values()
     bright = exposure * 2**stops

@@ -1,10 +1,10 @@
 """Node tables of octrees: built of a list of leaves, and as wide nodes for rays.
 
 A ray finds its next leaf in few steps in wide nodes: the binary levels of an octree are joined into
-one to four wide ones. A node of 2**b cells a side holds, for each cell, a number that says what is
-there. A cell of a leaf that is larger than a cell names the leaf and its size. An empty cell says
-how far a ray may go in each of the eight octants of directions before something may come: the side
-of the largest empty cube of cells that has the cell in the corner where the ray comes from.
+one to four wide ones. A node of 2**b cells a side has a number for each cell that describes it. A
+cell of a leaf that is larger than a cell names the leaf and its size. An empty cell says how far a
+ray may go in each of the eight octants of directions before something may come: the side of the
+largest empty cube of cells that has the cell in the corner where the ray comes from.
 
     empty   bit 31 set; bits 3 o to 3 o + 2 hold the cube's side less 1 for octant o of directions
             (bit 0 of o: the ray's x rises, bit 1: y, bit 2: z)

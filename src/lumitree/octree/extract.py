@@ -16,7 +16,7 @@ Query = Callable[[NDArray[np.float32]], tuple[NDArray[np.float32], NDArray[np.fl
 # The coarse-to-fine search starts here, with this many positions a side in each cell.
 _START_LEVEL = 5
 _START_SIDE = 4
-# Positions a query sees at once; with l_max 4 that is 320 MiB of coefficients, the peak.
+# Positions of a query; with l_max 4 that is 320 MiB of coefficients, the peak.
 _CHUNK = 1 << 20
 
 
@@ -28,10 +28,10 @@ def extract(
     min_density: float = 0.01,
     samples_per_leaf: int = 256,
 ) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.float16]]:
-    """Octree of a field: `children`, `density` and `coefficients` as `Asset` holds them.
+    """Octree of a field: `children`, `density` and `coefficients` as in `Asset`.
 
     Cells are searched coarse to fine; a finest cell becomes a leaf if the density at its centre
-    is above `min_density`, and then holds averages over `samples_per_leaf` positions.
+    is above `min_density`, and then gets averages over `samples_per_leaf` positions.
 
     Args:
         query: the field.
@@ -66,31 +66,18 @@ def _find_dense_cells(
     cells = cells.reshape(-1, 3)
     while True:
         # A leaf is judged by its centre, as in the paper; coarser cells by more positions.
-        positions_a_side = 1 if level == tree_depth else _START_SIDE if level == _START_LEVEL else 2
-        kept = [
-            chunk[_has_density(query, half_extents, chunk, level, positions_a_side, min_density)]
-            for chunk in _chunks(cells, positions_a_side**3)
-        ]
+        count = 1 if level == tree_depth else _START_SIDE if level == _START_LEVEL else 2
+        steps = (np.arange(count) + 0.5) / count
+        offsets = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), -1).reshape(-1, 3)
+        kept = []
+        for chunk in _chunks(cells, count**3):
+            density, _ = _query_inside(query, half_extents, chunk, level, offsets)
+            kept.append(chunk[np.any(density > min_density, axis=1)])
         cells = np.concatenate(kept) if kept else cells[:0]
         if level == tree_depth:
             return cells
         cells = child_cells(cells).reshape(-1, 3)
         level += 1
-
-
-def _has_density(
-    query: Query,
-    half_extents: NDArray[np.float64],
-    cells: NDArray[np.int32],
-    level: int,
-    positions_a_side: int,
-    min_density: float,
-) -> NDArray[np.bool_]:
-    """Whether any of a regular grid of positions in each cell is dense."""
-    steps = (np.arange(positions_a_side) + 0.5) / positions_a_side
-    offsets = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), -1).reshape(-1, 3)
-    density, _ = _query_inside(query, half_extents, cells, level, offsets)
-    return np.any(density > min_density, axis=1)
 
 
 def _average_leaves(
@@ -123,8 +110,7 @@ def _query_inside(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Field at `offsets` [S, 3] in [0, 1)³ of each cell: density [M, S], coefficients [M, S, 3, K].
 
-    Of a cell that a face of the proxy box divides the part inside counts: rays end at the box. The
-    density is 0 in cells outside.
+    Cells count with their part inside the proxy box. The density is 0 in cells outside.
     """
     side = 2 / (1 << level)
     lower = np.maximum(cells * side - 1, -half_extents)

@@ -38,7 +38,7 @@ class Field:
     the exponential law's is below 1e-3.
 
     Args:
-        asset: what to render.
+        asset: the arrays.
         min_density: leaves below this density (per local unit) count as empty; the paper: 0.1.
         max_opacity: rays stop at this opacity; the paper: 0.9.
     """
@@ -237,7 +237,7 @@ _BISECTIONS, _TINY = 40, 1e-9
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class CoarseField:
-    """Density alone, as `FieldData`: it emits nothing."""
+    """A field of density without emission, as `FieldData`."""
 
     children: NDArray[np.int32]
     density: NDArray[np.float32]
@@ -264,9 +264,9 @@ def coarsened(asset: FieldData) -> CoarseField:
     """Field of depth `COARSE_DEPTH` with about the same mean transmittance.
 
     A cell that has leaves of the given field gets the density with which it transmits as much light
-    along x, y and z together, by the area of the cell across each, as the leaves do on average. Of
-    a cell that a face of the bounding box divides the part inside counts, to which rays are
-    clipped. The law of the result is the exponential one, whatever the law of the given field.
+    along x, y and z together, by the area of the cell across each, as the leaves do on average.
+    Cells count with their part inside the bounding box, to which rays are clipped. The law of the
+    result is the exponential one, whatever the law of the given field.
     """
     cells, levels = leaf_cells(asset.children, asset.num_leaves)
     density = asset.density.astype(np.float64)

@@ -95,7 +95,7 @@ class Octree:
                 origin at which the line enters it, the length of the line in it (local units)
                 and the mask of rays that are in a leaf; returns the new state and the mask of
                 rays that go on.
-            state: tuple of Dr.Jit arrays, what `visit` starts with.
+            state: tuple of Dr.Jit arrays, the first state of `visit`.
             span: distances from the origin of the part of the line that is meant; default: all.
 
         Returns:
@@ -106,11 +106,11 @@ class Octree:
         # an emitter there are no other loops, and Dr.Jit would warn of each.
         while dr.hint(active, mode="symbolic"):
             t = mi.Float(t_exit)
-            entry, t_exit, ahead, ends = self._step(ray, t, ahead, active)
+            entry, t_exit, ahead, leaves = self._step(ray, t, ahead, active)
             # A leaf may be the last cell of its ray.
             found = entry > 0
             state, onwards = visit(state, _leaf(entry), t, t_exit - t, found)
-            active &= ~ends & (~found | onwards)
+            active &= ~leaves & (~found | onwards)
         return state
 
     @dr.syntax
@@ -128,7 +128,7 @@ class Octree:
         """As `traverse`, and call `shade` for the same leaves in the same order.
 
         The rays of a packet meet their leaves at different steps, and all wait for one that is
-        busy. So `visit` only decides how far a ray goes; what takes longer is for `shade`, which is
+        busy. So `visit` only decides how far a ray goes; `shade` does the rest, and is
         deferred until the rays have several leaves each.
 
         Returns:
@@ -142,10 +142,10 @@ class Octree:
             seeking = mi.Bool(active)
             while dr.hint(seeking, mode="symbolic"):
                 t = mi.Float(t_exit)
-                entry, t_exit, ahead, ends = self._step(ray, t, ahead, seeking)
+                entry, t_exit, ahead, leaves = self._step(ray, t, ahead, seeking)
                 found, crossing = entry > 0, (_leaf(entry), t, t_exit - t)
                 state, onwards = visit(state, *crossing, found)
-                active &= ~ends & (~found | onwards)
+                active &= ~leaves & (~found | onwards)
                 queue = _with(queue, count, crossing, found)
                 count += dr.select(found, mi.UInt32(1), 0)
                 seeking = active & (count < _DEFERRED)

@@ -1,4 +1,4 @@
-"""Assets that are open: each is read once, and shared while anything uses it.
+"""Assets that are open: each is read once, and shared while anything uses it; their information.
 
 Photometric files are assets once they are opened, so all that takes an asset takes them.
 """
@@ -13,6 +13,7 @@ from lumitree.asset.asset import Asset
 from lumitree.asset.file import load as read_asset
 from lumitree.core.backend import in_turn, load_mitsuba
 from lumitree.core.files import FilePath
+from lumitree.core.results import Json, plain
 from lumitree.errors import LumitreeError, shown
 from lumitree.lamp.builtin import BUILTIN
 from lumitree.lamp.source import (
@@ -66,7 +67,7 @@ def open_asset(asset: Asset | str | os.PathLike[str]) -> Asset:
     key = (path, variant, stamp.st_mtime_ns, stamp.st_size, stamp.st_ino)
     found = _READ.get(key)
     if found is None:
-        # Of two threads that read a file the first's asset is kept.
+        # If two threads read a file, the first asset is kept.
         found = _read(asset)
         with _LOCK:
             found = _READ.setdefault(key, found)
@@ -130,3 +131,29 @@ def asset_of(source: object) -> Asset | None:
         source = source.name
     assert isinstance(source, Asset | str | os.PathLike)
     return open_asset(source)
+
+
+def asset_json(asset: Asset, path: str | os.PathLike[str] | None) -> Json:
+    """`Asset.info` as a dictionary, with `file` and `file_bytes` if `path` is not None."""
+    info: Json = plain(asset.info)
+    if path is None:
+        return info
+    return {
+        "file": os.fspath(path),
+        "file_bytes": Path(gldf_variant(path)[0]).stat().st_size,
+        **info,
+    }
+
+
+def asset_report(asset: Asset, path: str | os.PathLike[str]) -> Json:
+    """The output of `lumitree info`: `asset_json`, and the luminous flux, lm, for metres.
+
+    For a photometric file it includes what the file states of how it was made.
+    """
+    from lumitree.formats.photometric_file import details_of
+    from lumitree.rendering.asset_flux import asset_lumens
+
+    if asset.light_field is None:
+        # Estimated by rays; else a sum that needs no variant of Mitsuba, and so no libLLVM.
+        load_mitsuba()
+    return {**asset_json(asset, path), "lumens": asset_lumens(asset), **details_of(path)}

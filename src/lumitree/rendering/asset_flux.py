@@ -1,7 +1,8 @@
-"""The flux that an asset emits, and the gain that gives a lamp a luminous flux and a colour."""
+"""Rays and flux that an asset emits, and the factors that give a lamp a flux and a colour."""
 
 import dataclasses
 
+import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,11 +13,27 @@ from lumitree.core.octahedral import middle_directions, solid_angles
 from lumitree.core.photometry import LUMENS_PER_WATT, blackbody_colour, luminance
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.errors import LumitreeError, shown
-from lumitree.rendering.asset_rays import AssetRays
-from lumitree.trace.light_paths import as_rows
+from lumitree.rendering.device import DeviceAsset
+from lumitree.trace.light_paths import RayBatch, as_rows, seeded_sampler
 
 # Rays that estimate the flux of a field, to about 0.1 to 0.5 %, in some tenths of a second.
 FIELD_RAYS = 1 << 20
+
+
+class AssetRays:
+    """Rays of an asset, of its light field if it has one; `EmittedRays`."""
+
+    def __init__(self, asset: Asset) -> None:
+        self._device = DeviceAsset(asset)
+
+    def draw(self, count: int, seed: int) -> RayBatch:
+        """As `EmittedRays.draw`; each sample is a ray."""
+        sampler = seeded_sampler(seed, count)
+        samples = sampler.next_1d(), sampler.next_2d(), sampler.next_2d()
+        origin, direction, flux = self._device.sample_ray(*samples)
+        flux /= count
+        dr.eval(origin, direction, flux)
+        return RayBatch(origin, direction, flux)
 
 
 def light_field_watts(field: LightField) -> NDArray[np.float64]:
@@ -98,8 +115,8 @@ def gain_to(
 ) -> NDArray[np.float64]:
     """Factors [3] on R, G and B that give a lamp a luminous flux and a colour temperature.
 
-    The factor for a temperature is c(T) / c: c(T) is the colour of a black body in linear sRGB,
-    and c = watts / L that of the lamp's whole flux, both with luminance 1. So the luminous flux
+    The factor for a temperature is c(T) / c: c(T) is the colour of a black body in linear sRGB, and
+    c = watts / L the colour of the lamp's whole flux, both with luminance 1. So the luminous flux
     stays, and the whole flux has the chromaticity of the black body. It is a factor per channel;
     no chromatic adaptation is involved.
 

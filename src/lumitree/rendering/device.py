@@ -11,7 +11,7 @@ from lumitree.octree.field import COARSE_DEPTH, Field, coarsened, shared_field
 from lumitree.rendering.device_light import DeviceLight, InsideLight
 from lumitree.rendering.field_rays import FieldRays
 from lumitree.rendering.geometry import Surfaces
-from lumitree.rendering.light_colour import LightColour, light_colour
+from lumitree.rendering.light_colour import LightSpectra, light_table
 from lumitree.rendering.sampling import BoxProxy
 from lumitree.rendering.straight_light import StraightLight
 
@@ -47,9 +47,9 @@ class DeviceAsset:
         return shared(self.asset, "rays", lambda: FieldRays(self.field, self.asset))
 
     @property
-    def colour(self) -> LightColour:
-        """Conversion of its light to the colours of the variant."""
-        return shared(self.asset, "colour", lambda: light_colour(self.asset.spectrum))
+    def spectra(self) -> LightSpectra:
+        """Conversion of its light to spectra."""
+        return shared(self.asset, "spectra", lambda: LightSpectra(light_table(self.asset.spectrum)))
 
     @property
     def surfaces(self) -> Surfaces:

@@ -7,7 +7,7 @@ in at most three times as many steps as the grid has cells a side.
 
 A cell is sampled from a table that depends on the receiver (`light_table`); then a point of the
 cell, uniformly. Receivers that are farther away get points of sums of cells (`light_levels`), whose
-tables and intensities are small. Rays get the light of the field's own cells. Both weights are by
+tables and intensities are small. Rays get the light of the cells of level 0. Both weights are by
 the sum, whose level is random for each of them: the mean over levels is the same.
 
 A sampled point is used in two ways. Integrators that sample directions alone get the radiance of
@@ -78,12 +78,11 @@ from lumitree.octree.build import build_children, grid_boxes_inside, morton
 from lumitree.octree.traversal import Octree
 from lumitree.rendering.light_levels import (
     POINTS,
-    LevelChoice,
     level_limits,
     light_sums,
     points_around,
 )
-from lumitree.rendering.light_table import InsideReceivers, ReceiverCells, cell_rows
+from lumitree.rendering.light_table import InsideReceivers, LevelChoice, ReceiverCells, cell_rows
 from lumitree.rendering.sampling import (
     INSIDE,
     OUTSIDE,
@@ -285,7 +284,7 @@ class CellLight:
         Args:
             entry: point of the ray from which on it gets light.
             inverse: 1 / b; 0 for the whole radiance.
-            end: distance from `entry` at which the ray ends.
+            end: distance from `entry` at which the ray terminates.
         """
         # Other bits of the direction than the bins depend on.
         row = self.row(x, scrambled(mi.Point2f(direction.z, direction.x)).x)
@@ -612,7 +611,7 @@ class InsideLight(CellLight):
             bins = smooth_bin(offset, self._resolution)
             return self.light(cell, bins, distance, mi.Bool(True))
 
-        # A cell may have no light but the light that ends nearer than the first distance.
+        # All light of a cell may end before the first distance.
         flux = np.maximum(flux, 1e-6 * flux.max())
         cell_size = 2.0**-field.depth
         rows = cell_rows(

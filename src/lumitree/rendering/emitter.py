@@ -1,4 +1,4 @@
-"""The emitter `lumitree`: a baked luminaire where it stands.
+"""The emitter `lumitree`: a baked luminaire at its place in a scene.
 
 `PlacedAsset` is the pose, which the emitter and the BSDF share, and `PlacedLamp` is the light. Its
 methods are the interface by which `lumitree_path` uses all emitters. `mi.Emitter` returns a
@@ -34,7 +34,6 @@ from lumitree.rendering.asset_flux import axis_intensities
 from lumitree.rendering.device import DeviceAsset
 from lumitree.rendering.device_light import CellLight, DeviceLight
 from lumitree.rendering.geometry import GeometryEmitter
-from lumitree.rendering.light_colour import LightColour
 from lumitree.rendering.objects import complete_later
 from lumitree.rendering.sampling import INSIDE, OUTSIDE, STRAIGHT, Target, cone_pdf, mis_weight
 from lumitree.rendering.straight_light import StraightLight
@@ -82,12 +81,12 @@ def shows_geometry(asset: Asset, appearance: Appearance) -> bool:
 
 
 class PlacedAsset:
-    """An asset, its proxy, and where they stand.
+    """An asset and its proxy at a pose.
 
     Attributes:
         lights_inside: whether objects of the scene are in the box, and get light there.
-        own_shapes, own_media: numbers of the shapes of the geometry, and of its media that scatter
-            (`objects.shape_number` and `medium_number`).
+        shape_numbers, medium_numbers: of the geometry's shapes and its media that scatter
+            (`objects.shape_number`, `medium_number`).
     """
 
     def __init__(self, props: mi.Properties) -> None:
@@ -100,8 +99,8 @@ class PlacedAsset:
         check_kinds(self.sampling, appearance)
         self.shows_geometry = shows_geometry(asset, appearance)
         self.lights_inside = False
-        self.own_shapes: list[int] = []
-        self.own_media: list[int] = []
+        self.shape_numbers: list[int] = []
+        self.medium_numbers: list[int] = []
         scene_from_local = options.get("to_world", np.eye(4)) @ asset.frame.world_from_local
         scale = similarity_scale(scene_from_local, "to_world")
         axes, origin = scene_from_local[:3, :3] / scale, scene_from_local[:3, 3]
@@ -219,7 +218,7 @@ class EmitterSample:
         weight: radiance over density of an emitter of Mitsuba.
         valid: whether a direction was sampled.
         target: the sampled point in a lamp.
-        beyond: how far the shadow ray goes on beyond `ds.p`, through the lamp's own surfaces.
+        beyond: how far the shadow ray goes on beyond `ds.p`, through the lamp's surfaces.
     """
 
     ds: mi.DirectionSample3f
@@ -230,7 +229,7 @@ class EmitterSample:
 
 
 class PlacedLamp(PlacedAsset):
-    """The light of a baked luminaire where it stands, or of many that differ by pose and gain.
+    """The light of a baked luminaire at its pose, or of many that differ by pose and gain.
 
     Points and directions of its methods are in the scene. `bsdf_pdf` is the density per steradian
     with which a BSDF samples a direction, and `emitter_pmf` the probability with which next-event
@@ -254,7 +253,7 @@ class PlacedLamp(PlacedAsset):
 
     def make_tables(self) -> None:
         """Make the tables that the methods need."""
-        _ = self.colour, self.straight
+        _ = self.straight, mi.is_spectral and self.device.spectra
         if self.stored is not None:
             _ = self.stored.table
         _ = self.device.field_rays if self.light is None else self.light.table
@@ -311,10 +310,9 @@ class PlacedLamp(PlacedAsset):
         """The emitters of its geometry, if images show it."""
         return self.device.straight if self.shows_geometry else None
 
-    @property
-    def colour(self) -> LightColour:
-        """Conversion of RGB light to the colours of the variant."""
-        return self.device.colour
+    def colour(self, rgb: mi.Color3f, wavelengths: mi.Spectrum) -> mi.Spectrum:
+        """RGB light in the colours of the variant, at wavelengths in nm if it is spectral."""
+        return self.device.spectra(rgb, wavelengths) if mi.is_spectral else mi.Spectrum(rgb)
 
     # ---------------------- Facts ----------------------
 
@@ -337,11 +335,7 @@ class PlacedLamp(PlacedAsset):
         """
         if self.attenuates or not self.samples_cells:
             return 0.0
-        return self._scale * self._cutoff_radius * (1 + 1e-4)
-
-    @property
-    def _cutoff_radius(self) -> float:
-        return _CUTOFF_RADIUS * float(np.linalg.norm(self.asset.frame.half_extents))
+        return self.sphere[1] * _CUTOFF_RADIUS * (1 + 1e-4)
 
     def light_inside(self) -> None:
         """Light objects in the box from now on, if cells are sampled."""
@@ -396,7 +390,7 @@ class PlacedLamp(PlacedAsset):
         if self.lights_inside:
             valid |= active & inside & ~self_light
             if self.shows_geometry:
-                # The lamp's own surfaces do not block stored light.
+                # The lamp's surfaces do not block stored light.
                 end = dr.select(inside, 0, end)
                 beyond = dr.maximum(point - end, 0)
             else:
@@ -526,7 +520,7 @@ class PlacedLamp(PlacedAsset):
         """
         x, (entry, direction) = self.local_point(it.p), self.entry(ray, distance)
         if self.shows_geometry:
-            # Images show the geometry's own shapes, which also hide objects behind them.
+            # Images show the shapes of the geometry, which also hide objects behind them.
             active &= ~specular_chain
         inside = mi.Bool(False)
         if self.lights_inside:

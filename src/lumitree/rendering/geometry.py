@@ -7,7 +7,7 @@ integrator `lumitree_path` makes this distinction; others get shapes that do not
 
 Glass bends the rays of an image. Elsewhere light crosses it straight, with its Fresnel
 transmittance: shadow rays, and rays after a vertex that is not specular. Otherwise next-event
-estimation could not find a light behind glass, and paths would find its caustics by chance.
+estimation could not find a light behind glass, and paths would find its caustics rarely.
 """
 
 from __future__ import annotations
@@ -311,7 +311,7 @@ def geometry_glass_class() -> type:
             super().__init__(make_properties("lumitree_glass", {}))
             self._glass = glass
             self.m_components = list(glass.m_components)
-            # Null surfaces are asked for their transmittance in shadow rays.
+            # Shadow rays get the transmittance of null surfaces.
             self.m_flags = int(glass.m_flags) | int(mi.BSDFFlags.Null) | CROSSED_STRAIGHT
             self._transmission = mi.BSDFContext()
             self._transmission.component = 1

@@ -11,17 +11,16 @@ vertex like one on a rough surface. Heterogeneous media need `volpath`, and are 
 Opaque BSDFs do not scatter light through the geometric surface (`spawning`), as `path`
 lets them do where shading normals are smooth.
 
-Proxies are not traced. The integrator traces the other shapes as a scene of their own, and finds
-the proxies that a ray enters by itself (`proxies.DividedScene`).
+Proxies are not traced. The integrator traces a scene of the other shapes, and finds the proxies
+that a ray enters by itself (`proxies.DividedScene`).
 
 Where images show the geometry of a lamp, its shapes are in the scene, and each path gets its light
 once. As long as all vertices since the camera are specular or on surfaces of this lamp, the path
-gets what the lamp's shapes emit (`self_emission`). A scattering in a medium of the lamp's geometry
-counts as a vertex on the lamp. Vertices elsewhere, inside its box too, get what the shapes emit
-straight, through nothing that bends it, and the light field, which contains all light that the
-lamp's surfaces bend or scatter: so these surfaces get none of it again.
-After the first vertex that is not specular, the lamp's glass bends no ray (`geometry`),
-and a crossing of it is a null interaction.
+gets the emission of the lamp's shapes (`self_emission`). A scattering in a medium of the lamp's
+geometry counts as a vertex on the lamp. Vertices elsewhere, inside its box too, get the straight
+light of the shapes, and the light field, which contains all light that the lamp's surfaces bend or
+scatter: so these surfaces get none of it again. After the first vertex that is not specular, the
+lamp's glass bends no ray (`geometry`), and a crossing of it is a null interaction.
 
 `trace_paths` is the loop. Its blocks stand below it, in this order: segments of a path (media, and
 proxies that a ray enters), light (emitters that a ray hits, emitter sampling, shadow rays), and
@@ -60,13 +59,13 @@ class PathState:
 
     # fmt: off
     ray: mi.Ray3f                      # Current ray
-    pi: mi.PreliminaryIntersection3f   # What it meets of the surfaces
+    pi: mi.PreliminaryIntersection3f   # Its intersection with the surfaces
     medium: mi.MediumPtr               # Medium that it is in
     active: mi.Bool                    # Active SIMD lanes
 
     L: mi.Spectrum                      # Radiance accumulator
     valid_ray: mi.Bool                 # Whether the camera ray met something
-    record: dict[str, Any]             # What is recorded beside the image (`Layers`)
+    record: dict[str, Any]             # Layers beside the image (`Layers`)
 
     β: mi.Spectrum                      # Path throughput weight
     η: mi.Float                        # Product of relative indices of refraction
@@ -170,8 +169,8 @@ class Hit:
     hit_surface: mi.Bool          # Whether the ray reaches it, or the environment
     hit_medium: mi.Bool           # Whether the medium scatters before it
     owner: mi.UInt32              # Lamp that the surface or the medium belongs to, or `NONE`
-    shown: mi.Bool                # Whether the path gets what this lamp's shapes emit
-    straight: mi.Bool             # Whether what they emit reaches `si_prev` straight
+    shown: mi.Bool                # Whether the path gets the emission of this lamp's shapes
+    straight: mi.Bool             # Whether their emission reaches `si_prev` straight
     # fmt: on
 
 
@@ -226,7 +225,7 @@ class PathScene:
         divided: the same, as `DividedScene` divides it.
         media: those that rays may cross.
         hide_emitters: whether the camera does not see emitters.
-        layers: what is recorded beside the image.
+        layers: recorded beside the image.
         choices: keeps tables for the choice of a lamp.
     """
 
@@ -246,7 +245,7 @@ class PathScene:
         self.layers = Unrecorded() if layers is None else layers
         self.extent = scene_extent(scene)
         self.bsdf_ctx = mi.BSDFContext()
-        # These select the code of a kernel: a scene does not pay for what it does not have.
+        # These select the code of a kernel: no scene pays for features that it does not have.
         self.has_null_surfaces = _has_null_surfaces(divided.surfaces)
         self.has_media = bool(media)
         self.has_scattering = any(absorption(medium) is None for medium in media)
@@ -287,7 +286,6 @@ def integrator_class() -> type:
             super().__init__(props)
             self.max_depth = int(props.get("max_depth", -1))
             self.rr_depth = int(props.get("rr_depth", DEFAULT_RR_DEPTH))
-            # What is recorded beside the image.
             self.layers: Layers | Unrecorded = Unrecorded()
             self._divided = DividedScene()
             self._choices = LampChoices()
@@ -343,7 +341,7 @@ def trace_paths(
     """Radiance along rays, whether they met something (for the film's alpha), and layers.
 
     Args:
-        scene: what is traced.
+        scene: the scene.
         path: as `PathState.start` or `PathState.received` return it.
         sampler: of as many samples as there are paths.
         max_depth, rr_depth: as of Mitsuba's `path`.
@@ -450,9 +448,9 @@ def add_entered_light(scene: PathScene, path: PathState, free_flight: FreeFlight
     if dr.hint(scene.hide_emitters, mode="scalar"):
         active &= path.depth > 0
     end = dr.minimum(path.pi.t, free_flight.distance)
-    # Emitter sampling finds no light of rays without a density, and none for images.
-    alone = path.bsdf_delta_prev | path.specular_chain
-    sampled = path.si_prev.p, dr.select(alone, dr.inf, path.bsdf_pdf_prev)
+    # Rays without a density, and rays of images, find all light: emitter sampling does not.
+    by_rays = path.bsdf_delta_prev | path.specular_chain
+    sampled = path.si_prev.p, dr.select(by_rays, dr.inf, path.bsdf_pdf_prev)
     distance, lamp = proxies.first(
         path.ray, end, active, path.specular_chain, path.skipped, sampled
     )
@@ -502,7 +500,7 @@ def end_segment(scene: PathScene, path: PathState, free_flight: FreeFlight) -> H
         )
         path.β[hit_medium] *= weight
         path.ρ[hit_medium] = densities
-    # The lamp that the surface belongs to, and whether the path gets what its shapes emit.
+    # The lamp that the surface belongs to, and whether the path gets the emission of its shapes.
     owner, shown, straight = mi.UInt32(NONE), mi.Bool(path.specular_chain), mi.Bool(False)
     if scene.shows_geometry:
         owners = scene.divided.owners
@@ -542,7 +540,7 @@ def add_emission(scene: PathScene, path: PathState, hit: Hit) -> None:
     light, emitter_pdf = scene.lamps.call(
         "eval_hit", ds.emitter, hit.si, path.si_prev, ds, hit.shown, hit.straight, hit.hit_surface
     )
-    # A density may be infinite, as of a point that is seen along the surface from `si_prev`.
+    # A density may be infinite, as of a point in the plane of the surface at `si_prev`.
     emitter_pdf = dr.select(emitter_pmf > 0, emitter_pdf * emitter_pmf, 0)
     weight = mis_weight(path.bsdf_pdf_prev, emitter_pdf)
     contribution = path.β * weight * light
@@ -556,10 +554,10 @@ def sample_emitter(
     active = vertex.active_surface & mi.has_flag(vertex.bsdf.flags(), mi.BSDFFlags.Smooth)
     scene.layers.add_surface(path.record, vertex.si, path.β, active)
     active = (active | vertex.active_medium) & ~vertex.last
-    # Light passes an opaque surface on neither side of its horizon.
+    # An opaque surface transmits no light, on either side of its horizon.
     n = mi.Vector3f(vertex.si.n)
     normal = dr.select(vertex.opaque, n * -dr.sign(dr.dot(n, path.ray.d)), 0)
-    # A lamp lights its own surfaces where the path shows them. Else its light field has that light.
+    # A lamp lights its surfaces where the path shows them; else its light field has this light.
     without = dr.select(vertex.shown, NONE, vertex.owner)
     selected = scene.selection.sample(vertex.si, normal, without, sampler, active)
     active &= (selected.weight > 0) & (selected.index != without)
@@ -581,13 +579,13 @@ def add_emitter_light(
 ) -> None:
     """Add light of a sampled emitter.
 
-    Whether light arrives is asked before how much a baked luminaire sends, which costs a traversal.
+    Visibility is evaluated before the light of a baked luminaire, which costs more.
     """
     si, ds, active = vertex.si, choice.sampled.ds, choice.active
     active &= ~(vertex.opaque & on_opposite_sides(si, path.ray.d, ds.d))
     light = path.β * scattering.value_em
     active &= dr.max(light) > 0
-    # What passes a lamp's glass is in its light field, of which its own surfaces get nothing.
+    # A lamp's surfaces get nothing of its light field, which has the light that passes its glass.
     self_light = choice.selected.index == vertex.owner
     target = dr.select(self_light, NONE, choice.selected.index)
     light *= visible(scene, si, ds, choice.sampled.beyond, target, path.medium, active)
@@ -613,7 +611,7 @@ def visible(
     medium: mi.MediumPtr,
     active: mi.Bool,
 ) -> mi.Spectrum:
-    """Transmittance from a surface to a sampled point: 0 behind what is not null.
+    """Transmittance from a surface to a sampled point: 0 behind surfaces that are not null.
 
     For a length `beyond` after the point, surfaces block that do not belong to the sampled lamp,
     whose index in the scene is `target`.
@@ -641,14 +639,14 @@ def visible(
         crossed = left & (dr.max(through) > 0)
         distance, lamp = proxies.first(ray, ray.maxt, crossed)
         crossed &= lamp != NONE
-        # Of lamps that overlap, each dims all light of the other, as along rays that enter both.
+        # Lamps that overlap attenuate all light of each other, as along rays that enter both.
         whole = mi.Ray3f(ray)
         whole.maxt = dr.select(scene.divided.owners.bit(target, active) != 0, dr.inf, ray.maxt)
         while crossed:
             emitter = scene.emitter(lamp, crossed)
-            dimmed = scene.lamps.call("transmittance", emitter, whole, distance, crossed)
-            # Its own light is as it is seen through the lamp.
-            through *= dr.select(crossed & (lamp != target), dimmed, 1)
+            attenuated = scene.lamps.call("transmittance", emitter, whole, distance, crossed)
+            # The lamp's light already contains its attenuation.
+            through *= dr.select(crossed & (lamp != target), attenuated, 1)
             distance, lamp = proxies.next(ray, distance, lamp, ray.maxt, crossed)
             crossed &= lamp != NONE
     return through
@@ -668,12 +666,12 @@ def _transmittance(
 ) -> mi.Spectrum:
     """Transmittance of surfaces (`traced`), and of media, along a ray towards a sampled point.
 
-    Glass of the lamp `target` blocks: what passes it is contained in the lamp's light. With
+    Glass of the lamp `target` blocks: the lamp's light contains the light that passes it. With
     `passes` none of its surfaces blocks.
     """
     through, ray, direction = mi.Spectrum(1), mi.Ray3f(ray), mi.Vector3f(ray.d)
     if dr.hint(not (scene.has_null_surfaces or passes), mode="scalar"):
-        # Of a length below 0, of which nothing is left, it tells a hit although it is not active.
+        # A ray of a length below 0 is reported as a hit although it is not active.
         through[active & traced.ray_test(ray, active)] = 0
         if dr.hint(scene.has_media, mode="scalar"):
             through *= medium_paths.transmittance(medium, ray.maxt, active, ray.wavelengths)
@@ -689,22 +687,22 @@ def _transmittance(
             bsdf = pi.shape.bsdf()
             flags = bsdf.flags()
             null = hit & mi.has_flag(flags, mi.BSDFFlags.Null)
-            own = mi.Bool(False)
+            passed = mi.Bool(False)
             if dr.hint(owners.exist, mode="scalar"):
-                own = hit & (owners.of(pi.shape, hit) == target)
+                passed = hit & (owners.of(pi.shape, hit) == target)
                 if dr.hint(passes, mode="scalar"):
-                    null |= own
+                    null |= passed
                 else:
-                    null &= ~(own & ((flags & CROSSED_STRAIGHT) != 0))
-                    own = mi.Bool(False)
+                    null &= ~(passed & ((flags & CROSSED_STRAIGHT) != 0))
+                    passed = mi.Bool(False)
             crossing = pi.compute_surface_interaction(ray, mi.RayFlags.All, null)
-            part = dr.select(own, 1, bsdf.eval_null_transmission(crossing, null & ~own))
+            part = dr.select(passed, 1, bsdf.eval_null_transmission(crossing, null & ~passed))
             through[hit] *= dr.select(null, part, 0)
             crossings += 1
             through[null & (crossings >= MAX_CROSSINGS)] = 0
             null &= dr.max(through) > 0
             if dr.hint(scene.has_media, mode="scalar"):
-                medium = medium_paths.medium_after(crossing, direction, medium, null & ~own)
+                medium = medium_paths.medium_after(crossing, direction, medium, null & ~passed)
             extent = scene.extent
             ray[null], active = _spawn_to(crossing, goal, direction, margin, extent, null)
     return through
@@ -744,7 +742,7 @@ def find_vertex(
     """The vertex where a ray has ended."""
     si, bsdf = hit.si, hit.bsdf
     active = path.active & (si.is_valid() | hit.hit_medium)
-    # Null interactions do not count, so light may come through them.
+    # Null interactions do not count: light may come through them.
     last = path.depth - path.depth_freed + 1 >= max_depth
     if scene.has_null_surfaces:
         passes = hit.hit_surface & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null)

@@ -36,7 +36,7 @@ from lumitree.core.device import on_device, parameter
 from lumitree.rendering.emitter import OtherEmitter, PlacedLamp, lamp_of, lamps_of
 from lumitree.rendering.sampling import divide_sample
 
-# What stands for no lamp.
+# Index of no lamp.
 NO_LAMP = 0xFFFFFFFF
 _CANDIDATES = 6
 # Cells of the scene, and entries of the table, 8 bytes each, at most. More lamps have fewer cells.
@@ -78,24 +78,18 @@ class Lamps:
     low: NDArray[np.float64]
     high: NDArray[np.float64]
 
-    def equals(self, other: Lamps) -> bool:
-        """Whether all members are equal."""
-        return all(
-            np.array_equal(getattr(self, field.name), getattr(other, field.name))
-            for field in dataclasses.fields(self)
-        )
-
 
 class LampChoices:
     """Keeps the tables of the last lamps, which an integrator needs for each pass."""
 
     def __init__(self) -> None:
-        self._last: tuple[Lamps, LampChoice] | None = None
+        self._last: tuple[list[bytes], LampChoice] | None = None
 
     def of(self, lamps: Lamps) -> LampChoice:
         """The choice among lamps."""
-        if self._last is None or not self._last[0].equals(lamps):
-            self._last = lamps, LampChoice(lamps)
+        numbers = [values.tobytes() for values in vars(lamps).values()]
+        if self._last is None or self._last[0] != numbers:
+            self._last = numbers, LampChoice(lamps)
         return self._last[1]
 
 
@@ -138,8 +132,8 @@ class LampChoice:
             excluded: index in the scene of a lamp that is not chosen, or `NO_LAMP`.
 
         Returns:
-            Index in the scene; the factor by which its light counts for that of all lamps, 0 where
-            no candidate sends light; and p.
+            Index in the scene; factor on its light, which then stands for the light of all lamps, 0
+            where no candidate sends light; and p.
         """
         row, excluded_lamp = self._row(x), self._lamp(excluded, active)
         choice, total = mi.Float(sample.y), mi.Float(0)
@@ -148,16 +142,16 @@ class LampChoice:
             # The candidates share one random number, moved by equal steps.
             place = sample.x + candidate / _CANDIDATES
             place = dr.select(place < 1, place, place - 1)
-            here, chance = self._table.sample(row, place, active)
+            here, here_pmf = self._table.sample(row, place, active)
             weight = dr.select(here == excluded_lamp, 0, self._weight(here, x, n, active))
-            ratio = weight / chance
+            ratio = weight / here_pmf
             total += ratio
             # Each takes the place of those before with its part of the sum so far.
             scaled = choice * total
             taken = scaled < ratio
             rest = dr.select(taken, scaled, scaled - ratio) / dr.select(taken, ratio, total - ratio)
             choice = dr.select(ratio > 0, dr.minimum(rest, dr.one_minus_epsilon(mi.Float)), choice)
-            lamp, pmf = dr.select(taken, here, lamp), dr.select(taken, chance, pmf)
+            lamp, pmf = dr.select(taken, here, lamp), dr.select(taken, here_pmf, pmf)
             chosen = dr.select(taken, weight, chosen)
         found = mi.Bool(active) & (chosen > 0)
         factor = dr.select(found, total / (_CANDIDATES * chosen), 0)
@@ -210,14 +204,14 @@ def _grid(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
     """Corner [3] of the grid, sides [3] of its cells, and its shape [3].
 
-    It covers the part of the scene's box that is no farther from the lamps than their own extent.
+    It covers the part of the scene's box that is no farther from the lamps than their extent.
     """
     reach = lamps.radii[:, None]
     low, high = (lamps.centres - reach).min(axis=0), (lamps.centres + reach).max(axis=0)
     extent = (high - low).max()
     low, high = np.maximum(low - extent, lamps.low), np.minimum(high + extent, lamps.high)
     size = np.maximum(high - low, 1e-3 * extent)
-    # The shortest side first: what it leaves, rounded down, is for the others.
+    # The shortest side first: the others share the cells that it leaves, rounded down.
     shape = np.ones(3, np.int64)
     for done, axis in enumerate(np.argsort(size)):
         rest = np.argsort(size)[done:]
@@ -255,8 +249,8 @@ class Selected:
     """An emitter that was selected (a PyTree of Dr.Jit)."""
 
     # fmt: off
-    index: mi.UInt32         # Of the emitter in the scene
-    weight: mi.Float         # Factor by which its light counts for that of all; 0: there is none
+    index: mi.UInt32         # Index in the scene
+    weight: mi.Float         # Factor on its light, which stands for all light; 0: there is none
     emitter_pmf: mi.Float    # Its probability for multiple importance sampling
     sample: mi.Point2f       # For the direction, in the unit square
     # fmt: on
@@ -265,7 +259,7 @@ class Selected:
 class EmitterSelection:
     """Selection of emitters.
 
-    With two baked luminaires or more, these are selected by what they send to the receiver
+    With two baked luminaires or more, these are selected by their light for the receiver
     (`LampChoice`), and half of the samples are for all other emitters, by their sampling weights.
     Else all are selected by their sampling weights, as `mi.Scene.sample_emitter` does.
 
@@ -334,10 +328,10 @@ class EmitterSelection:
         index, weight, pmf = self._lamps.sample(si.p, normal, owner, choice, lit)
         weight, pmf = weight / self._part, pmf * self._part
         if self._has_others:
-            entry, chance = self._others.sample(mi.UInt32(0), choice.x, active & other)
+            entry, entry_pmf = self._others.sample(mi.UInt32(0), choice.x, active & other)
             found = dr.gather(mi.UInt32, self._other_indices, entry, active & other)
             index = dr.select(other, found, index)
-            pmf = dr.select(other, _OTHERS * chance, pmf)
+            pmf = dr.select(other, _OTHERS * entry_pmf, pmf)
             weight = dr.select(other, dr.rcp(pmf), weight)
         return Selected(index, weight, pmf, sample)
 

@@ -40,26 +40,14 @@ _MAX_CONDITION = 1e3
 _BASIS_STEP, _CONSTRAINT = 10.0, 1e3
 
 
-def light_colour(spectrum: EmittedSpectrum | None) -> LightColour:
-    """Conversion of the light of an asset with a spectrum to the colours of the variant."""
-    return SpectralColour(light_table(spectrum)) if mi.is_spectral else LightColour()
-
-
-class LightColour:
-    """Light of an asset as RGB variants render it: as it is."""
-
-    def __call__(self, rgb: mi.Color3f, wavelengths: mi.Spectrum) -> mi.Spectrum:
-        """Light as a mi.Spectrum at wavelengths in nm; there are none in RGB variants."""
-        return rgb
-
-
-class SpectralColour(LightColour):
+class LightSpectra:
     """Light of an asset as spectra, by a table [471, 3] of `light_table`."""
 
     def __init__(self, table: NDArray[np.float64]) -> None:
         self._table = on_device(mi.Float, table)
 
     def __call__(self, rgb: mi.Color3f, wavelengths: mi.Spectrum) -> mi.Spectrum:
+        """Light at wavelengths in nm."""
         value = mi.Spectrum(0)
         for index in range(len(value)):
             place = wavelengths[index] - WAVELENGTHS[0]

@@ -1,6 +1,6 @@
 """Levels of a light field: sums of 2 × 2 × 2 cells, for receivers that are farther away.
 
-Level 0 is the field's own grid. A sum has the light of its cells in each bin of direction and each
+Level 0 is the grid of the field. A sum has the light of its cells in each bin of direction and each
 channel. Its light starts in a box with the mean and the variance of the places where theirs does.
 
 The level of a receiver depends on its distance and on a random number, so that there is no seam.
@@ -13,21 +13,19 @@ from __future__ import annotations
 
 import dataclasses
 
-import drjit as dr
-import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.light_field import LightField, unpack
-from lumitree.core.device import parameter
 from lumitree.octree.build import grid_boxes_inside, morton
+from lumitree.rendering.light_table import MAX_SUMS
 
-# Sums at most, and the depth of the coarsest level.
-_SUMS, _COARSEST = 4, 2
+# Depth of the coarsest level.
+_COARSEST = 2
 # A level is for receivers at a distance from the lamp's box (local units) of at least `_LEAST` over
 # the number of cells a side, and where the root mean square of its relative error is at most
-# `_ERROR`. Distances are multiplied by random numbers from 1 to 1 + `_BLEND`.
-_ERROR, _LEAST, _BLEND = 0.01, 24.0, 0.5
+# `_ERROR`.
+_ERROR, _LEAST = 0.01, 24.0
 # Errors are measured at this distance from the box, local units, as means over patches of its
 # faces: so many a side, of so many points each. At single points they would be noise.
 ERROR_DISTANCE, _PATCHES, POINTS = 4.0, 5, 4
@@ -60,7 +58,7 @@ def light_sums(
     lower, upper = grid_boxes_inside(half_extents, field.cells, field.depth)
     intensity = field.dense(unpack(field.intensity).astype(np.float32))
     level, found = Level(field.cells, field.depth, lower, upper, intensity, flux), []
-    while level.depth > _COARSEST and len(found) < _SUMS:
+    while level.depth > _COARSEST and len(found) < MAX_SUMS:
         level = _summed(level, half_extents)
         found.append(level)
     return found
@@ -71,7 +69,7 @@ def _summed(level: Level, half_extents: NDArray[np.float64]) -> Level:
     cells, depth = level.cells[first] >> 1, level.depth - 1
 
     def total(values):
-        # Of rows of numbers: sums of rows of colours take longer.
+        # As rows of numbers: sums of rows of colours take longer.
         rows = values.reshape(len(values), -1)
         return np.add.reduceat(rows, first, axis=0).reshape(-1, *values.shape[1:])
 
@@ -84,43 +82,6 @@ def _summed(level: Level, half_extents: NDArray[np.float64]) -> Level:
     half = np.minimum(np.sqrt(np.maximum(3 * spread, 0)), np.minimum(mean - lower, upper - mean))
     half = np.maximum(half, 5e-7)
     return Level(cells, depth, mean - half, mean + half, total(level.intensity), sums)
-
-
-class LevelChoice:
-    """The level of receivers: the coarsest one whose limit their distance exceeds.
-
-    Args:
-        half_extents: of the lamp's box.
-        limits: [L - 1] distances from the box, local units, in increasing order, of the levels
-            beyond level 0.
-    """
-
-    def __init__(self, half_extents: NDArray[np.float64], limits: NDArray[np.float64]) -> None:
-        self._radius, self._inner = float(np.linalg.norm(half_extents)), float(half_extents.min())
-        self._limits = limits
-        self._half = parameter(mi.Vector3f, *half_extents.tolist())
-        padded = np.full(_SUMS, np.inf)
-        padded[: len(limits)] = limits
-        self._on_device = [parameter(mi.Float, limit) for limit in padded.tolist()]
-
-    def sample(self, x: mi.Point3f, sample: mi.Float) -> mi.UInt32:
-        """Level of a receiver, for a sample in [0, 1)."""
-        outside = dr.maximum(dr.abs(mi.Vector3f(x)) - self._half, 0)
-        distance = dr.norm(outside) * dr.fma(_BLEND, sample, 1)
-        level = mi.UInt32(0)
-        for limit in self._on_device:
-            level += dr.select(distance > limit, mi.UInt32(1), 0)
-        return level
-
-    def shells(self, level: int, width: float, num_shells: int) -> tuple[int, int]:
-        """First and last shell of this width (`receiver_cells`) with receivers of a level."""
-        starts = np.concatenate([[0.0], self._limits / (1 + _BLEND), [np.inf]])
-        nearest = max(starts[level] + self._inner, 1e-3)
-        farthest = np.append(self._limits, np.inf)[level] + self._radius
-        first, last = (
-            min(int(self._radius / at / width), num_shells - 1) for at in (farthest, nearest)
-        )
-        return first, last
 
 
 def level_limits(errors: NDArray[np.float64], depth: int) -> NDArray[np.float64]:

@@ -5,10 +5,11 @@ of its cell of receivers, a part of it to the flux of cells.
 
 Cells of receivers around a lamp are bins of direction from its centre (`core.octahedral`) times
 shells of equal width in R / distance, in which parallax is linear; R is the radius of the lamp's
-bounding sphere. The innermost shell has no end. In the lamp's box, cells of receivers are a grid.
+bounding sphere. The innermost shell is unbounded. In the lamp's box, cells of receivers are a grid.
+Receivers that are farther away get sums of cells (`light_levels`): `LevelChoice`.
 
 Symbols
-    C   cells that emit
+    C   cells that emit        L   levels of a light field
 """
 
 from __future__ import annotations
@@ -29,6 +30,9 @@ _FLUX_FRACTION = 0.1
 # Receivers in each of their cells that a row is made from, and rows that are made at once.
 _POINTS_PER_CELL = 16
 _ROWS_AT_ONCE = 16
+# Levels beyond 0 at most; and the distances of receivers are multiplied by random numbers from 1 to
+# 1 + `_BLEND`, so that there is no seam between levels.
+MAX_SUMS, _BLEND = 4, 0.5
 # intensity(cell, offset, distance): radiant intensity of a cell towards a receiver.
 Intensity = Callable[["mi.UInt32", "mi.Vector3f", "mi.Float"], "mi.Color3f"]
 
@@ -162,7 +166,7 @@ class ReceiverCells:
     def index(self, x: mi.Point3f, shells: mi.Vector2u | None = None) -> mi.UInt32:
         """Index of the cell of a point.
 
-        `shells`: the first and the last one, if not those of this object.
+        `shells`: the first and the last one. Default: the shells of this object.
         """
         first, last = self._shells if shells is None else shells
         offset = mi.Vector3f(x)
@@ -203,3 +207,40 @@ class InsideReceivers:
         place = mi.Vector3f(cell % side, cell // side % side, cell // side**2)
         within = mi.Vector3f(sample.x, sample.y, depth_sample)
         return mi.Point3f(((place + within) * (2 / side) - 1) * self._half)
+
+
+class LevelChoice:
+    """The level of receivers: the coarsest one whose limit their distance exceeds.
+
+    Args:
+        half_extents: of the lamp's box.
+        limits: [L - 1] distances from the box, local units, in increasing order, of the levels
+            beyond level 0.
+    """
+
+    def __init__(self, half_extents: NDArray[np.float64], limits: NDArray[np.float64]) -> None:
+        self._radius, self._inner = float(np.linalg.norm(half_extents)), float(half_extents.min())
+        self._limits = limits
+        self._half = parameter(mi.Vector3f, *half_extents.tolist())
+        padded = np.full(MAX_SUMS, np.inf)
+        padded[: len(limits)] = limits
+        self._on_device = [parameter(mi.Float, limit) for limit in padded.tolist()]
+
+    def sample(self, x: mi.Point3f, sample: mi.Float) -> mi.UInt32:
+        """Level of a receiver, for a sample in [0, 1)."""
+        outside = dr.maximum(dr.abs(mi.Vector3f(x)) - self._half, 0)
+        distance = dr.norm(outside) * dr.fma(_BLEND, sample, 1)
+        level = mi.UInt32(0)
+        for limit in self._on_device:
+            level += dr.select(distance > limit, mi.UInt32(1), 0)
+        return level
+
+    def shells(self, level: int, width: float, num_shells: int) -> tuple[int, int]:
+        """First and last shell of this width (`ReceiverCells`) with receivers of a level."""
+        starts = np.concatenate([[0.0], self._limits / (1 + _BLEND), [np.inf]])
+        nearest = max(starts[level] + self._inner, 1e-3)
+        farthest = np.append(self._limits, np.inf)[level] + self._radius
+        first, last = (
+            min(int(self._radius / at / width), num_shells - 1) for at in (farthest, nearest)
+        )
+        return first, last

@@ -32,7 +32,7 @@ def null_bsdf_class() -> type:
     """Class of the BSDF for the variant of Mitsuba that is set, whose base class it extends.
 
     Light crosses it unbent, with the transmittance of the whole line through the proxy on the face
-    where the line enters, and 1 on the face where it leaves. Where the geometry is shown, its own
+    where the line enters, and 1 on the face where it leaves. Where the geometry is shown, its
     shapes attenuate light, and the transmittance is 1.
     """
 

@@ -23,7 +23,7 @@ def make_properties(plugin: str, values: Mapping[str, Any]) -> mi.Properties:
 
 
 def make_object(plugin: str, values: Mapping[str, Any]) -> Any:
-    """The object of a plugin, as it is: one that holds several is not expanded into them."""
+    """The object of a plugin; an object that contains several is not expanded into them."""
     return mi.PluginManager.instance().create_object(make_properties(plugin, values))
 
 
@@ -55,7 +55,7 @@ def complete_later(step: Callable[[], object]) -> None:
     """Do a step of the creation of a plugin that waits for the device; one at a time.
 
     Mitsuba creates plugins as parallel tasks, and a thread that waits for the device executes other
-    tasks meanwhile. Else plugins would be created within each other, each with tables of its own.
+    tasks meanwhile. Otherwise plugins would be created within each other, each with its tables.
     If a step is being done, this one is done after it, by the same thread. Mitsuba creates the
     scene when all tasks are completed.
     """

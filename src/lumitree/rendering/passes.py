@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import time
+import warnings
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager
@@ -20,11 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.arguments import MAX_SAMPLES
+from lumitree.core.checkpoint import Arrays, Checkpoint
 from lumitree.core.images import block_means
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
-from lumitree.errors import LumitreeError
-from lumitree.rendering.saved_passes import PassSums, SavedPasses
+from lumitree.errors import LumitreeError, LumitreeWarning
 
 # Samples a pass, by the backend of Dr.Jit: some seconds of work at most. Progress is shown, and
 # Ctrl-C heeded, between passes; a GPU is idle while a pass is prepared.
@@ -38,6 +39,8 @@ _MIN_PASSES = 8
 # Least time between two images that are shown while they are rendered, s, and the largest part of
 # the time that showing them takes.
 _SECONDS_BETWEEN_IMAGES, _MOST_TIME_OF_IMAGES = 2.0, 0.1
+# Time of rendering after which an unfinished image is saved at the end, s.
+_WORTH_SAVING = 30.0
 # Width and height of the blocks of pixels over which noise is averaged.
 _BLOCK = 16
 # Samples per pixel of a pass at most, where it is not known how many there will be.
@@ -99,6 +102,55 @@ class Rendering:
         return self.channels[..., :3]
 
 
+@dataclasses.dataclass(frozen=True)
+class PassSums:
+    """Sums over the passes of an image.
+
+    Attributes:
+        radiance: float32 [H, W, C], of samples per pixel times channels of the image.
+        grey, squares: float64 [H, W], of samples per pixel times the mean of R, G and B of a pass,
+            and times its square.
+        samples, passes: samples per pixel, and number of passes.
+        seconds: time of rendering, s.
+    """
+
+    radiance: NDArray[np.float32]
+    grey: NDArray[np.float64]
+    squares: NDArray[np.float64]
+    samples: int
+    passes: int
+    seconds: float
+
+    def arrays(self) -> Arrays:
+        """The same as arrays, for a checkpoint."""
+        return {name: np.asarray(value) for name, value in vars(self).items()}
+
+    @staticmethod
+    def load(checkpoint: Checkpoint, batch: int, limit: int) -> PassSums | None:
+        """The sums of a checkpoint; None if there is none.
+
+        Warns, and returns None, if it belongs to another image or to other passes, or is damaged.
+        """
+        try:
+            if (arrays := checkpoint.load()) is None:
+                return None
+            numbers = {name: arrays.pop(name).item() for name in ("samples", "passes", "seconds")}
+            sums = PassSums(**arrays, **numbers)
+            # Else the passes to come would have other seeds than in an image without interruption.
+            if sums.samples % batch and sums.samples != limit:
+                raise LumitreeError("its last pass has fewer samples than the others")
+            if sums.samples > limit:
+                raise LumitreeError(f"it has {sums.samples} samples per pixel, more than {limit}")
+        except (LumitreeError, KeyError, TypeError) as error:
+            warnings.warn(
+                f"an unfinished image is not continued: {error}; it starts again",
+                LumitreeWarning,
+                stacklevel=2,
+            )
+            return None
+        return sums
+
+
 def _with_pass(sums: PassSums | None, image: NDArray[np.float32], samples: int) -> PassSums:
     """The sums with another pass [H, W, C]."""
     grey = image[..., :3].mean(axis=-1, dtype=np.float64)
@@ -137,7 +189,7 @@ def _noise(sums: PassSums) -> float | None:
     known = np.isfinite(mean) & np.isfinite(squares)
     if not known.any():
         return None
-    # Of the pixels that are numbers.
+    # Share of the pixels of a block that are numbers.
     share = np.maximum(block_means(known.astype(np.float64), _BLOCK), 1e-300)
     variance = np.where(known, squares, 0) / (sums.passes - 1) / sums.samples
     variance, level = (
@@ -147,7 +199,7 @@ def _noise(sums: PassSums) -> float | None:
     if not lit.any():
         return 0.0
     error, level = np.sqrt(variance[lit]), level[lit]
-    # Neither the lamp itself nor what is nearly black decides.
+    # Neither the lamp itself nor nearly black blocks decide.
     weights = 1 / np.maximum(level, np.median(level))
     return float((weights * error).sum() / (weights * level).sum())
 
@@ -176,7 +228,7 @@ def render_passes(
     name: str = "render",
     so_far: Callable[[Rendering], None] | None = None,
     renderer: Renderer | None = None,
-    saved: SavedPasses | None = None,
+    checkpoint: Checkpoint | None = None,
 ) -> Rendering:
     """Render the scene's first sensor until a budget is spent.
 
@@ -186,12 +238,12 @@ def render_passes(
     Args:
         so_far: called with the image so far after the first pass and then every two seconds or
             more, so that it takes no more than a tenth of the time.
-        renderer: what renders the passes. Default: `render_pass`, one after another.
-        saved: where the passes so far are kept, from which an interrupted call continues.
+        renderer: function that renders the passes. Default: `render_pass`, one after another.
+        checkpoint: of the passes so far, from which an interrupted call continues.
     """
     pixels = int(dr.prod(scene.sensors()[0].film().crop_size()))
     plan = _Plan(budget, pixels, seed)
-    sums = None if saved is None else saved.load(plan.batch, plan.limit)
+    sums = None if checkpoint is None else PassSums.load(checkpoint, plan.batch, plan.limit)
     spent = 0.0
     if sums is not None:
         spent = _share(budget, sums, _noise(sums))
@@ -202,7 +254,7 @@ def render_passes(
         images = contextlib.nullcontext(here)
     else:
         images = renderer(plan)
-    with progress(name, 1.0) as advance, images as rendered, _kept(saved, lambda: sums):
+    with progress(name, 1.0) as advance, images as rendered, _kept(checkpoint, lambda: sums):
         advance(spent)
         for image in rendered:
             added = _with_pass(sums, image, plan.next_samples)
@@ -215,8 +267,8 @@ def render_passes(
             spent = done
             if plan.is_over or share >= 1:
                 break
-            if saved is not None:
-                saved.offer(sums)
+            if checkpoint is not None:
+                checkpoint.offer(sums.arrays)
             if so_far is not None and now >= next_time:
                 so_far(_rendering(sums))
                 taken = time.perf_counter() - now
@@ -237,14 +289,14 @@ def _guess(budget: Budget, sums: PassSums, noise: float | None) -> float:
 
 
 @contextlib.contextmanager
-def _kept(saved: SavedPasses | None, sums: Callable[[], PassSums | None]) -> Iterator[None]:
-    """Context at whose end the sums are saved, also if a signal or an error ends it."""
+def _kept(checkpoint: Checkpoint | None, sums: Callable[[], PassSums | None]) -> Iterator[None]:
+    """Context at whose end sums of some time are saved, also if a signal or an error ends it."""
     try:
         yield
     finally:
         found = sums()
-        if saved is not None and found is not None:
-            saved.save(found)
+        if checkpoint and found and found.seconds >= _WORTH_SAVING:
+            checkpoint.try_save(found.arrays())
 
 
 class _Plan:

@@ -1,16 +1,23 @@
-"""Where a luminaire goes in a scene."""
+"""Where luminaires go in a scene, and the TOML file of placements."""
 
 import dataclasses
-from typing import TYPE_CHECKING
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from lumitree.asset.asset import Asset
 from lumitree.core.arguments import check_gain, check_light
 from lumitree.core.frames import check_placement
-from lumitree.errors import LumitreeError, shown
+from lumitree.core.toml_file import converted, read_toml
+from lumitree.errors import LumitreeError, explained, shown
+from lumitree.lamp.builtin import BUILTIN
 from lumitree.lamp.source import source_kind
 
 if TYPE_CHECKING:
     from lumitree.lamp.luminaire import LuminaireLike
+
+
+_Numbers3 = tuple[float, float, float]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,8 +39,8 @@ class Placement:
             scene in the `unit` of `render` or `illuminance`; 10⁻⁶ to 10⁹. For an asset only.
             Default: its own, at its `size`.
         temperature: colour temperature of its whole flux before `gain`, K; 1000 to 20,000. R, G and
-            B each get a factor, by which the colour in linear sRGB becomes that of a black body;
-            the luminous flux stays. For an asset only. Default: the colour of the asset.
+            B each get a factor, by which the colour in linear sRGB becomes a black body's; the
+            luminous flux stays. For an asset only. Default: the colour of the asset.
         label: name of this placement in layers; default: file name without ending, made unique by
             a number.
 
@@ -77,3 +84,57 @@ class Placement:
         if isinstance(self.source, Asset):
             return shown(self.source.luminaire)
         return shown(getattr(self.source, "name", self.source), 200)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Lamp:
+    """Types of the keys of a lamp; `Placement` checks their ranges."""
+
+    asset: str
+    at: _Numbers3 | None = None
+    size: float | None = None
+    rotate: tuple[float, float, float, float] | None = None
+    gain: float | _Numbers3 = 1.0
+    lumens: float | None = None
+    temperature: float | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class _File:
+    lamps: dict[str, Any] = dataclasses.field(default_factory=dict)
+
+
+@explained
+def read_placements(path: str | os.PathLike[str]) -> list[Placement]:
+    """Read placements from a TOML file, with a table `[lamps.NAME]` for each lamp.
+
+    Its keys are `asset`, a file relative to the TOML file, or the name of a built-in luminaire;
+    and `at`, `size`, `rotate`, `gain`, `lumens` and `temperature`, as the attributes of
+    `Placement`. NAME becomes `Placement.label`.
+
+    Args:
+        path: path of the TOML file.
+
+    Returns:
+        The placements, in the order of the file.
+
+    Raises:
+        LumitreeError: the file is missing or not TOML, a key is unknown, or a value is wrong.
+    """
+    path = Path(path)
+    lamps = converted(read_toml(path, "a TOML file of placements"), _File, path).lamps
+    if not lamps:
+        raise LumitreeError(
+            f"{shown(path, 300)} has no lamps; expected a table [lamps.NAME] for each"
+        )
+    placements = []
+    for label, values in lamps.items():
+        name = f"lamps.{shown(label)}"
+        lamp = converted(values, _Lamp, path, name)
+        source = lamp.asset if lamp.asset in BUILTIN else str(path.parent / lamp.asset)
+        given = {key: getattr(lamp, key) for key in values if key != "asset"}
+        try:
+            placements.append(Placement(source, **given, label=label))
+        except LumitreeError as error:
+            raise LumitreeError(f"{shown(path, 300)}: {name}: {error}") from None
+    return placements

@@ -22,7 +22,7 @@ _INSIDE = 0.998
 _SAME = 1e-3
 
 
-def holds_objects(shapes: Sequence[mi.Shape], boxes: NDArray[np.float64]) -> NDArray[np.bool_]:
+def contains_objects(shapes: Sequence[mi.Shape], boxes: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Whether one of some shapes is in each box, by more than it may touch.
 
     Meshes, rectangles and spheres are tested exactly; of other shapes, the axis-aligned box.
@@ -30,18 +30,18 @@ def holds_objects(shapes: Sequence[mi.Shape], boxes: NDArray[np.float64]) -> NDA
     Args:
         boxes: [N, 4, 4] transforms of [-1, 1]³ into the scene.
     """
-    holds = np.zeros(len(boxes), bool)
+    found = np.zeros(len(boxes), bool)
     if not len(boxes):
-        return holds
+        return found
     centres = boxes[:, :3, 3]
     reach = _INSIDE * np.abs(boxes[:, :3, :3]).sum(axis=2)
     for shape in shapes:
         lower, upper = (np.ravel(each) for each in (shape.bbox().min, shape.bbox().max))
-        near = ((centres - reach < upper) & (centres + reach > lower)).all(axis=1) & ~holds
+        near = ((centres - reach < upper) & (centres + reach > lower)).all(axis=1) & ~found
         if near.any():
             within = _in_boxes(shape, lower, upper)
-            holds[near] = [within(box) for box in boxes[near]]
-    return holds
+            found[near] = [within(box) for box in boxes[near]]
+    return found
 
 
 def _in_boxes(
@@ -111,7 +111,7 @@ def warn_of_overlaps(
     """Warn once of boxes that overlap, and once of lamps that are in one place.
 
     Args:
-        boxes: [N, 4, 4] as for `holds_objects`.
+        boxes: [N, 4, 4] as for `contains_objects`.
         kinds: what is placed; equal for instances of one lamp.
         fields: which are shown by a radiance field. Others may overlap each other.
     """

@@ -3,7 +3,7 @@
 A null shape that every ray may meet costs more time than a lamp's light. Rays are traced in
 packets, and a packet takes as long as its longest ray: one ray that crosses a proxy is traced three
 times. So `DividedScene` divides a scene into its surfaces, which are traced, and its proxies, which
-rays find in a tree of their own. Nothing traces the scene itself: under OptiX a kernel may trace
+rays find in a tree of boxes. Nothing traces the scene itself: under OptiX a kernel may trace
 one scene only.
 """
 
@@ -22,16 +22,15 @@ from lumitree.core.device import on_device
 from lumitree.lamp.scene_shapes import build_again, shape_groups
 from lumitree.rendering.emitter import PlacedLamp, lamp_of, lamps_of, sampled_only
 from lumitree.rendering.objects import make_object, shape_number
-from lumitree.rendering.placement_checks import holds_objects, overlapping
+from lumitree.rendering.placement_checks import contains_objects, overlapping
 from lumitree.rendering.sampling import safe_inverse, slab
 
-# Null surfaces that a path, or a shadow ray, crosses before it ends: a bound, so that every kernel
-# ends whatever the geometry.
+# Bound on the null surfaces that a path, or a shadow ray, crosses, so that every kernel terminates.
 MAX_CROSSINGS = 1024
-# What stands for no emitter.
+# Index of no emitter.
 NONE = 0xFFFFFFFF
-# Packets of four numbers of a proxy on the device: a point, a matrix, whether it gives light to
-# what is in it, `sampled_only_radius`, the number of its bit in masks of lamps, and 0; and of a
+# Packets of four numbers of a proxy on the device: a point, a matrix, `lights_inside`,
+# `sampled_only_radius`, the number of its bit in masks of lamps, and 0; and of a
 # node of the tree (`box_tree`).
 _PACKETS, _NODE_PACKETS = 4, 2
 # Bits of a mask of lamps. If there are more lamps than bits, some share one.
@@ -93,11 +92,11 @@ class Proxies:
     ) -> tuple[mi.Float, mi.UInt32]:
         """The proxy that a ray enters next.
 
-        A proxy in which a ray starts is entered at the origin, if it gives light to what is in it,
+        A proxy in which a ray starts is entered at the origin, if the lamp `lights_inside`,
         or else if the ray is one of `starts`.
 
         Args:
-            after, last: what was returned for the proxy before.
+            after, last: result for the proxy before.
             starts: mask of these rays.
             skipped: mask of the lamps whose proxies are not entered at the origin (`Owners.bit`).
             sampled: vertex that the ray comes from, and density per steradian with which its BSDF
@@ -199,10 +198,10 @@ class Divided(NamedTuple):
     def end(
         self, ray: mi.Ray3f, distance: mi.Float, lamp: mi.UInt32, ahead: mi.UInt32, active: mi.Bool
     ) -> mi.Float:
-        """Where a ray ends for a lamp whose proxy it enters, as `PlacedLamp.eval_entered`.
+        """Distance at which a ray terminates for a lamp whose proxy it enters (`eval_entered`).
 
         Args:
-            distance: where it ends for the integrator.
+            distance: at which it terminates for the integrator.
             ahead: lamp that the surface at `distance` belongs to (`Owners.of`).
         """
         mine = ahead == lamp
@@ -219,17 +218,17 @@ class Divided(NamedTuple):
         distance = mi.Float(pi.t)
         if dr.hint(self.passes, mode="scalar"):
             ray, passed, crossings = mi.Ray3f(ray), mi.Float(0), mi.UInt32(0)
-            own = active & pi.is_valid() & (self.owners.of(pi.shape, active) == lamp)
-            while own:
+            mine = active & pi.is_valid() & (self.owners.of(pi.shape, active) == lamp)
+            while mine:
                 # In the direction of the ray, whatever the surface.
                 step = pi.t * (1 + mi.math.RayEpsilon) + mi.math.RayEpsilon * dr.max(dr.abs(ray.o))
                 passed += step
                 ray.o = dr.fma(step, ray.d, ray.o)
-                pi = scene.ray_intersect_preliminary(ray, False, own)
-                distance[own] = passed + pi.t
+                pi = scene.ray_intersect_preliminary(ray, False, mine)
+                distance[mine] = passed + pi.t
                 crossings += 1
-                own &= pi.is_valid() & (self.owners.of(pi.shape, own) == lamp)
-                own &= crossings < MAX_CROSSINGS
+                mine &= pi.is_valid() & (self.owners.of(pi.shape, mine) == lamp)
+                mine &= crossings < MAX_CROSSINGS
         return distance
 
 
@@ -238,9 +237,11 @@ class Owners:
 
     def __init__(self, lamps: Mapping[int, PlacedLamp]) -> None:
         # By the number of a shape.
-        self.owner = {number: index for index, lamp in lamps.items() for number in lamp.own_shapes}
+        self.owner = {
+            number: index for index, lamp in lamps.items() for number in lamp.shape_numbers
+        }
         owner_of_medium = {
-            number: index for index, lamp in lamps.items() for number in lamp.own_media
+            number: index for index, lamp in lamps.items() for number in lamp.medium_numbers
         }
         cloudy = dict.fromkeys(owner_of_medium.values(), 1)
         # Whether there are shapes, and media that scatter.
@@ -288,7 +289,7 @@ class _Numbers:
 
 
 class DividedScene:
-    """The surfaces of a scene as a scene of their own, and its proxies.
+    """Divides a scene into a scene of its surfaces, and its proxies.
 
     An integrator keeps one, so that the surfaces' acceleration structure is built once. It holds
     the shapes of the scene but not the scene, which may hold the integrator.
@@ -345,7 +346,7 @@ def _one_scene_only() -> bool:
 def _light_insides(lamps: list[PlacedLamp], others: list[mi.Shape]) -> bool:
     """Let lamps light shapes in their boxes; whether another lamp's shapes are in one of them."""
     boxes = np.array([lamp.scene_from_box for lamp in lamps]).reshape(-1, 4, 4)
-    lit, overlap = holds_objects(others, boxes), False
+    lit, overlap = contains_objects(others, boxes), False
     for pair in overlapping(boxes):
         if any(lamps[i].shows_geometry for i in pair):
             lit[pair], overlap = True, True
@@ -360,14 +361,14 @@ def _scene_of(groups: list[mi.Shape], shapes: list[mi.Shape]) -> mi.Scene:
     described: dict[str, Any] = {f"shape_{i}": each for i, each in enumerate([*groups, *shapes])}
     emitters = [shape.emitter() for shape in shapes if shape.is_emitter()]
     if emitters and not any(emitter.sampling_weight() for emitter in emitters):
-        # Mitsuba accepts no scene whose emitters are never sampled. Nothing is asked of it.
+        # Mitsuba accepts no scene whose emitters are never sampled; this one is not used.
         described["light"] = make_object("point", {})
     # Not by `load_dict`, which would rename the shapes.
     return make_object("scene", described)
 
 
 def is_instance(shape: mi.Shape) -> bool:
-    """Whether a shape repeats others, whose BSDFs it does not tell."""
+    """Whether a shape repeats others, whose BSDFs are not accessible."""
     return shape.class_name() == "Instance"
 
 
@@ -381,20 +382,16 @@ def _geometry(shape: mi.Shape) -> list[Any]:
 
 def _same(first: list[Any], second: list[Any]) -> bool:
     """Whether two lists of `_geometry` have the same numbers."""
-    return all(map(_equal, first, second))
 
+    def equal(a: Any, b: Any) -> bool:
+        # As `mitsuba.SceneParameters` compares them: arrays of equal index are one array, which is
+        # not changed as long as both refer to it.
+        if dr.detail.collect_indices(a) == dr.detail.collect_indices(b) != []:
+            return True
+        a, b = (getattr(each, "matrix", each) for each in (a, b))
+        return np.array_equal(np.array(a), np.array(b))
 
-def _equal(first: Any, second: Any) -> bool:
-    # Arrays of equal index are one array, which is not changed as long as both refer to it.
-    if _indices(first) == _indices(second) != []:
-        return True
-    first, second = (getattr(each, "matrix", each) for each in (first, second))
-    return np.array_equal(np.array(first), np.array(second))
-
-
-def _indices(value: Any) -> list[int]:
-    """Indices of the arrays of a value, as `mitsuba.SceneParameters` compares them."""
-    return dr.detail.collect_indices(value)
+    return all(map(equal, first, second))
 
 
 def box_tree(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -11,8 +11,8 @@ first three take the same properties:
                   or "field". Default of `lumitree_proxy`: "geometry" if the asset has it. The
                   emitter and the BSDF alone show the field
 
-`lumitree_proxy` is the proxy, a `lumitree_box`, with the emitter and the BSDF attached: what a
-scene XML names. With the appearance "geometry" it is several shapes: the proxy and the
+`lumitree_proxy` is the proxy, a `lumitree_box`, with the emitter and the BSDF attached, for scene
+files. With the appearance "geometry" it is several shapes: the proxy and the
 luminaire's.
 L_o = gain · L_e + T · L_i (Eq. 2): the emitter returns gain · L_e, the BSDF T. The gain is
 a differentiable parameter of `mitsuba.traverse`, `<name of the shape>.emitter.gain`.
@@ -91,9 +91,9 @@ def shape(
             `gain` of one over the square of the metres in that unit.
         sampling: of directions: "emission", about in proportion to it, or "uniform" over the proxy.
         gain: [3] factors on the R, G and B of the emitted light, or one number for all; 0 to 10⁶.
-        appearance: what images show. "geometry": the luminaire itself, if the asset has it; for the
-            integrator `lumitree_path`: under others the room is lit as well, but the lamp looks
-            dark behind its light field. "field": the radiance field, or else the light field.
+        appearance: shown in images. "geometry": the luminaire itself, if the asset has it; for the
+            integrator `lumitree_path`: other integrators also get its light, but show a dark
+            lamp behind its light field. "field": the radiance field, or else the light field.
             Default: the geometry if the asset has it, as `render` shows it.
 
     Returns:

@@ -14,23 +14,23 @@ from numpy.typing import NDArray
 
 from lumitree.core.arguments import check_image_settings, check_items, check_range, metres_of
 from lumitree.core.backend import in_turn, load_mitsuba
+from lumitree.core.checkpoint import Checkpoint
 from lumitree.core.executor import check_executor
 from lumitree.core.files import FilePath, WorkFolder
 from lumitree.core.images import check_exr_name, encode_png, image_settings, write_exr
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.results import Stopwatch
 from lumitree.core.seeds import check_seed
-from lumitree.core.view_transform import View, check_view, displayed, room_exposure
 from lumitree.errors import LumitreeError, explained
+from lumitree.rendering.image import SavedImage
 from lumitree.rendering.placement import Placement
 from lumitree.rendering.render_job import Described, RenderJob, renderer_of
-from lumitree.rendering.saved_image import SavedImage
-from lumitree.rendering.saved_passes import SavedPasses
+from lumitree.rendering.view_transform import View, check_view, displayed, room_exposure
 
 if TYPE_CHECKING:
-    from lumitree.rendering.camera_view import CameraView
     from lumitree.rendering.layers import Recorded
     from lumitree.rendering.passes import Rendering
+    from lumitree.rendering.scene import CameraView
 
 # Samples per pixel if no limit is given.
 _SAMPLES_PER_PIXEL = 64
@@ -56,7 +56,7 @@ class RenderResult(SavedImage):
             around it, averaged over the image: neither the lamp itself nor what is nearly black
             decides. 0.1 is grain that is seen, 0.02 is hardly. None if there was one pass only.
         layers: by name, float32 [height, width, 3], the radiance of the light of one luminaire, or
-            of the room; their sum is the image. Empty if they were not asked for.
+            of the room; their sum is the image. Empty without the option `layers`.
         noisy: float32 [height, width, 3], radiance before denoising; None as `albedo`.
         albedo: float32 [height, width, 3], diffuse reflectance of the first surface that is not
             specular, times the throughput up to it; None without `layers`, `aov` and `denoise`.
@@ -155,8 +155,8 @@ def render(
         denoise: filter the noise out with Open Image Denoise, illumination and emitters that are
             seen directly apart. Needs the optional dependency `denoise`. The scene's
             reconstruction filter becomes a box.
-        layers: whether the light of each luminaire and of the room is also returned apart, for
-            `mix`. The layers are named by `Placement.label`, and "room".
+        layers: whether the light of each luminaire and of the room is also returned separately,
+            for `mix`. The layers are named by `Placement.label`, and "room".
         aov: whether albedo and normal of the first surface that is not specular are also returned.
         width: width of the image in pixels, 1 to 16,384; the aspect ratio stays. Default: the
             scene's.
@@ -175,9 +175,9 @@ def render(
         seed: root seed of all random numbers, 0 to 2³¹ - 1.
         variant: Mitsuba variant, as for `bake`; or "llvm_ad_spectral" or "cuda_ad_spectral", which
             render spectra, but neither `denoise`, `layers` nor `aov`.
-        executor: whose workers render the passes; each loads the scene. With a number of samples or
-            a `noise` the image is that of one process, apart from the last digits. Default: this
-            process.
+        executor: its workers render the passes; each loads the scene. With a number of samples or a
+            `noise` the image equals the image of one process, apart from the last digits. Default:
+            this process.
         progress: function that is called with a `Progress` after each pass; see `bake`.
 
     Returns:
@@ -205,7 +205,7 @@ def render(
         raise LumitreeError(
             f"denoise, layers and aov need an RGB variant of Mitsuba, not {mi.variant()}"
         )
-    from lumitree.rendering.denoise import check_denoiser, denoised
+    from lumitree.rendering.layers import check_denoiser, denoised
     from lumitree.rendering.passes import Budget
 
     if denoise:
@@ -260,7 +260,8 @@ def render(
             shown, saved = None if so_far is None else show, None
             if work is not None:
                 identity = job.identity(seed)
-                saved = SavedPasses(stack.enter_context(WorkFolder(work)).path, identity)
+                folder = stack.enter_context(WorkFolder(work)).path
+                saved = Checkpoint(folder / "passes.npz", identity, "image")
             rendering, recorded = job.rendered(budget, seed, shown, renderer, saved)
     pixels = noisy = rendering.radiance
     if recorded is not None and denoise:
@@ -295,7 +296,7 @@ def _parts(
 
 
 def _described(placement: Placement) -> dict[str, Any]:
-    """A placement for the comment of an image: what was given of it."""
+    """The given values of a placement, for the comment of an image."""
     values = {field.name: getattr(placement, field.name) for field in dataclasses.fields(placement)}
     given = {name: value for name, value in values.items() if value is not None}
     return {**given, "source": placement.name}

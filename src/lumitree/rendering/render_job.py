@@ -3,6 +3,8 @@
 import contextlib
 import dataclasses
 import functools
+import hashlib
+import os
 import uuid
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -12,18 +14,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.core.checkpoint import CHECKPOINTS
 from lumitree.core.executor import packed, run_tasks, unpacked
+from lumitree.core.files import FilePath, WorkFolder
+from lumitree.core.reading import read_bytes
+from lumitree.core.results import plain
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.lamp.luminaire import absolute_source
+from lumitree.lamp.source import LuminaireSource, gldf_variant
 
 if TYPE_CHECKING:
+    from lumitree.core.checkpoint import Checkpoint
     from lumitree.rendering.layers import Recorded
     from lumitree.rendering.passes import Budget, Renderer, Rendering
     from lumitree.rendering.placement import Placement
-    from lumitree.rendering.saved_passes import SavedPasses
+    from lumitree.rendering.scene import PlacedLuminaire
 
-# What to do if a worker is lost.
+# Advice for the case that a worker is lost.
 _CONTINUE = "the same call continues, or begins again without `work`"
+_MAX_LAMP_BYTES = 2**40
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,7 +42,7 @@ class Described:
     Attributes:
         metres: in a unit of length of the scene.
         box_filter: whether each pixel is the mean of its own samples, as for `load_scene`.
-        by_lamp: whether the light of each lamp is recorded apart; None if nothing is recorded
+        by_lamp: whether the light of each lamp is recorded separately; None if nothing is recorded
             beside the image.
     """
 
@@ -45,7 +54,7 @@ class Described:
     by_lamp: bool | None
 
     def packed(self) -> bytes:
-        """It for `_received`, with absolute paths; refused if it cannot be pickled."""
+        """Bytes for `_received`, with absolute paths; refused if it cannot be pickled."""
         scene = absolute_source(self.scene)
         placements = [
             dataclasses.replace(each, source=absolute_source(each.source))
@@ -64,10 +73,10 @@ class RenderJob:
     def __init__(self, described: Described) -> None:
         import mitsuba as mi
 
-        from lumitree.rendering.camera_view import camera_view
         from lumitree.rendering.layers import Layers, records_layers
         from lumitree.rendering.scene import (
             appearance_for,
+            camera_view,
             load_scene,
             open_placements,
             place_luminaires,
@@ -110,7 +119,7 @@ class RenderJob:
         seed: int,
         so_far: "Callable[[Rendering], None] | None",
         renderer: "Renderer | None",
-        saved: "SavedPasses | None",
+        checkpoint: "Checkpoint | None",
     ) -> "tuple[Rendering, Recorded | None]":
         """The image, and what is recorded beside it; arguments as for `render_passes`."""
         from lumitree.rendering.passes import render_passes
@@ -123,20 +132,33 @@ class RenderJob:
                 seed=seed,
                 so_far=so_far,
                 renderer=renderer,
-                saved=saved,
+                checkpoint=checkpoint,
             )
         if self._layers is None:
             return rendering, None
         return rendering, self._layers.divide(rendering.channels[..., self._of_film :])
 
     def identity(self, seed: int) -> dict[str, Any]:
-        """Inputs of the image, as `image_identity`."""
+        """Inputs of the image, as members of a JSON object.
+
+        Raises:
+            LumitreeError: the scene or a luminaire is no file, and so cannot be compared later.
+        """
         import mitsuba as mi
 
-        from lumitree.rendering.saved_passes import image_identity
+        from lumitree.lamp.read_source import fingerprint_of
+        from lumitree.lamp.scene_file import SceneFile
 
         described = self._described
-        settings = {
+        scene = described.scene
+        if not isinstance(scene, str | os.PathLike):
+            raise LumitreeError(
+                f"work is given with a scene of type {type(scene).__name__}; expected the path of "
+                "a scene, which a later call can compare"
+            )
+        return {
+            "scene": fingerprint_of(SceneFile(scene), LuminaireSource(os.fspath(scene))),
+            "lamps": list(map(_lamp_identity, self._placed)),
             "width": described.width,
             "metres": described.metres,
             "box_filter": described.box_filter,
@@ -144,7 +166,6 @@ class RenderJob:
             "seed": seed,
             "variant": mi.variant(),
         }
-        return image_identity(described.scene, self._placed, settings)
 
     def image(self, seed: int, samples: int) -> NDArray[np.float32]:
         """One pass, as `render_pass`."""
@@ -195,3 +216,28 @@ def _received(job: bytes) -> RenderJob:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", LumitreeWarning)
         return RenderJob(described)
+
+
+def _lamp_identity(placed: "PlacedLuminaire") -> dict[str, Any]:
+    placement = placed.placement
+    values = {field.name: getattr(placement, field.name) for field in dataclasses.fields(placement)}
+    source = values.pop("source")
+    fields = plain(values)
+    if placed.luminaire is not None:
+        return {**fields, "content": placed.luminaire.fingerprint}
+    source = source.name if isinstance(source, LuminaireSource) else source
+    if not isinstance(source, str | os.PathLike):
+        raise LumitreeError(
+            f"work is given with {placement.name} as a loaded asset; expected the path of its "
+            "file, which a later call can compare"
+        )
+    path, variant = gldf_variant(source)
+    content = read_bytes(path, "an asset", _MAX_LAMP_BYTES)
+    return {**fields, "content": hashlib.sha256(content).hexdigest(), "variant": variant}
+
+
+def forget_passes(folder: FilePath) -> None:
+    """Remove the passes of an unfinished image, and their folder if it is then empty."""
+    if os.path.exists(folder):
+        with WorkFolder(folder) as work:
+            work.remove(CHECKPOINTS)

@@ -22,7 +22,7 @@ from lumitree.core.device import parameter
 _PARALLEL = 1e-12
 # Part of the samples that is taken uniformly.
 UNIFORM_FRACTION = 0.1
-# What is sampled: bent light (or all) of a receiver outside the box or inside; or straight light.
+# Kind of a target: bent light (or all) for receivers outside the box or inside; or straight light.
 OUTSIDE, INSIDE, STRAIGHT = range(3)
 
 
@@ -96,7 +96,7 @@ def resample(choice: mi.Float, light: mi.Float, total: mi.Float) -> tuple[mi.Boo
 def sample_row(
     cumulated: mi.Float, first: mi.UInt32, count: int, sample: mi.Float, active: mi.Bool | bool
 ) -> mi.UInt32:
-    """Index, from 0, that a sample in [0, 1) has in one row of a table of cumulated chances."""
+    """Index, from 0, of a sample in [0, 1) in one row of a table of cumulated probabilities."""
 
     # The search is over the next power of two, so that rows of similar lengths share a kernel.
     length, bound = dr.opaque(mi.UInt32, count), 1 << (count - 1).bit_length()
@@ -164,7 +164,7 @@ def cone_pdf(origin: mi.Point3f, radius: float | mi.Float) -> mi.Float:
 
 
 def _cap(origin, radius):
-    """1 - cosine of the half angle under which a sphere is seen; 2 from inside."""
+    """1 - cosine of the half angle that a sphere subtends; 2 from inside."""
     sine_squared = radius**2 / dr.squared_norm(mi.Vector3f(origin))
     # Written so that a distant, small sphere does not suffer from cancellation.
     cap = sine_squared / (1 + dr.safe_sqrt(1 - sine_squared))

@@ -1,7 +1,9 @@
-"""Scenes with luminaires placed in them."""
+"""Scenes with luminaires placed in them, their integrators, and the views of their cameras."""
 
 from __future__ import annotations
 
+import dataclasses
+import math
 import os
 import warnings
 from collections.abc import Mapping, Sequence
@@ -23,16 +25,21 @@ from lumitree.lamp.source import LuminaireSource
 from lumitree.rendering.asset_cache import open_asset
 from lumitree.rendering.asset_flux import asset_watts, gain_to
 from lumitree.rendering.emitter import Appearance, Sampling, shows_geometry
-from lumitree.rendering.integrators import integrator_for
 from lumitree.rendering.layers import records_layers
 from lumitree.rendering.objects import load_ordered
 from lumitree.rendering.placement import Placement
-from lumitree.rendering.placement_checks import holds_objects, warn_of_overlaps
+from lumitree.rendering.placement_checks import contains_objects, warn_of_overlaps
 from lumitree.rendering.register import register, shape
 
 # `volpath` starts rays (1 + largest coordinate) * RayEpsilon from surfaces. Where that is this part
 # of a lamp's size, the irradiance 0.7 sizes below it is 1 % too high; at 3 times this part, 4 %.
 _FAR_FOR_VOLPATH = 0.09
+# Classes of `volpath` and `volpathmis`, which take the transmittance of null surfaces for shadow
+# rays, and render media.
+_SEE_MEDIA = ("VolumetricPathIntegrator", "VolpathMisIntegratorImpl")
+# These become `lumitree_path`, or `volpath` where media are heterogeneous.
+_PATH_TRACERS = ("path", "lumitree_path")
+_DEFAULT_PATH_DEPTH = 16
 
 
 class PlacedLuminaire:
@@ -252,6 +259,45 @@ def load_scene(
     return scene, integrator
 
 
+def integrator_for(
+    scene: mi.Scene, described: mi.Properties | None, title: str, *, heterogeneous: bool
+) -> mi.Integrator:
+    """The integrator of a scene, or its replacement, which sees through null surfaces.
+
+    `described` is None where the scene has none, or one whose settings cannot be read.
+    """
+    tracer, given = _path_tracer(heterogeneous), scene.integrator()
+    kind = described.plugin_name() if described is not None else None
+    if given is not None and given.class_name() in _SEE_MEDIA:
+        return given
+    if described is not None and kind in _PATH_TRACERS:
+        described.set_plugin_name(tracer)
+        return mi.PluginManager.instance().create_object(described)
+    if given is not None and records_layers(given) and not heterogeneous:
+        return given
+    found = f"integrator {kind!r}" if kind else "no integrator"
+    if described is None and given is not None:
+        found = f"the integrator {given.class_name()}, which is created already"
+    warnings.warn(
+        f"{title} has {found}; using {tracer} with max_depth {_DEFAULT_PATH_DEPTH}",
+        LumitreeWarning,
+        stacklevel=3,
+    )
+    return default_integrator(heterogeneous=heterogeneous)
+
+
+def default_integrator(
+    path_depth: int = _DEFAULT_PATH_DEPTH, *, heterogeneous: bool = False
+) -> mi.Integrator:
+    """Integrator for scenes that name none."""
+    register()
+    return mi.load_dict({"type": _path_tracer(heterogeneous), "max_depth": path_depth})
+
+
+def _path_tracer(heterogeneous: bool) -> str:
+    return "volpath" if heterogeneous else "lumitree_path"
+
+
 def _check_size(film: mi.Film, title: str) -> None:
     """Refuse a film of no pixels, or of more than memory is likely to hold."""
     width, height = (int(each) for each in film.crop_size())
@@ -276,7 +322,7 @@ def _check_rgb(film: mi.Film, title: str) -> None:
     )
 
 
-def load_room(source: Any) -> tuple[mi.Scene, Sequence[SceneShape]]:
+def load_without_camera(source: Any) -> tuple[mi.Scene, Sequence[SceneShape]]:
     """A scene, as of `load_scene`, but it needs no camera; and its shapes as the file has them."""
     scene, _, shapes = _open(source, scene_title(source))
     return scene, shapes_of_scene(scene, shapes)
@@ -358,7 +404,7 @@ def set_film_width(scene: mi.Scene, width: int) -> None:
 
 
 def _warn_rounded(luminaires: Sequence[PlacedLuminaire]) -> None:
-    """Tell once where coordinates of a scene are too coarse for luminaires."""
+    """Warn once where coordinates of a scene are too coarse for luminaires."""
     far: list[tuple[float, float, PlacedLuminaire]] = []
     for placed in luminaires:
         box = placed.scene_from_box
@@ -379,7 +425,7 @@ def _warn_rounded(luminaires: Sequence[PlacedLuminaire]) -> None:
 
 
 def _warn_far(placed: PlacedLuminaire) -> None:
-    """Tell where `volpath` cannot resolve a baked luminaire."""
+    """Warn where `volpath` cannot resolve a baked luminaire."""
     box, name = placed.scene_from_box, placed.placement.name
     size = 2 * np.linalg.norm(box[:3, :3], axis=0).max()
     coordinate = np.abs(box[:3, 3]).max()
@@ -395,8 +441,8 @@ def _warn_far(placed: PlacedLuminaire) -> None:
 
 
 def _warn_unlit_by_volpath(scene: mi.Scene, placed: PlacedLuminaire) -> None:
-    """Tell of objects in a lamp's box, which `volpath` does not light."""
-    if holds_objects(scene.shapes(), placed.scene_from_box[None])[0]:
+    """Warn of objects in a lamp's box, which `volpath` does not light."""
+    if contains_objects(scene.shapes(), placed.scene_from_box[None])[0]:
         warnings.warn(
             f"{placed.title}: an object of the room is inside its box, where volpath does not "
             "light it; lumitree_path does",
@@ -406,27 +452,67 @@ def _warn_unlit_by_volpath(scene: mi.Scene, placed: PlacedLuminaire) -> None:
 
 
 def _warn_unlit(scene: mi.Scene, luminaires: Sequence[PlacedLuminaire], sampling: Sampling) -> None:
-    """Tell of baked luminaires that do not light what is in their boxes."""
-    lacking = []
+    """Warn of baked luminaires that do not light objects in their boxes."""
+    causes = {}
     for placed in luminaires:
         asset = placed.asset
-        light_field = asset.light_field if isinstance(asset, Asset) else None
-        if asset is None:
-            continue
-        if light_field is None:
-            told = "is not lit: the asset has no light field; bake it with --parts light"
-        elif sampling == "uniform":
-            told = 'is not lit; use the sampling "emission"'
-        else:
-            continue
-        lacking.append((placed, told))
-    if not lacking:
+        if isinstance(asset, Asset) and asset.light_field is None:
+            causes[placed] = "the asset has no light field; bake it with --parts light"
+        elif asset is not None and sampling == "uniform":
+            causes[placed] = 'use the sampling "emission"'
+    if not causes:
         return
-    boxes = np.stack([placed.scene_from_box for placed, _ in lacking])
-    for (placed, told), holds in zip(lacking, holds_objects(scene.shapes(), boxes), strict=True):
-        if holds:
+    boxes = np.stack([placed.scene_from_box for placed in causes])
+    inside = contains_objects(scene.shapes(), boxes)
+    for (placed, cause), has_objects in zip(causes.items(), inside, strict=True):
+        if has_objects:
             warnings.warn(
-                f"{placed.title}: an object of the room is inside its box, where it {told}",
+                f"{placed.title}: an object of the room is inside its box, where it is not lit: "
+                f"{cause}",
                 LumitreeWarning,
                 stacklevel=3,
             )
+
+
+@dataclasses.dataclass(frozen=True)
+class CameraView:
+    """View of a perspective camera.
+
+    Attributes:
+        origin: [3] its place, scene coordinates.
+        direction, up: [3] unit vectors, where it looks and what is up in the image.
+        horizontal, vertical: angles of view, degrees.
+    """
+
+    origin: tuple[float, float, float]
+    direction: tuple[float, float, float]
+    up: tuple[float, float, float]
+    horizontal: float
+    vertical: float
+
+
+def camera_view(sensor: mi.Sensor) -> CameraView | None:
+    """View of a perspective camera, with or without a lens; None for other cameras.
+
+    There is none either if the centre of the image is not on the camera's axis, because of a crop
+    window or of an offset of the principal point.
+    """
+    parameters, film = mi.traverse(sensor), sensor.film()
+    if "x_fov" not in parameters:
+        return None
+    size, crop, start = (
+        np.array(each, np.int64) for each in (film.size(), film.crop_size(), film.crop_offset())
+    )
+    shifts = [parameters[key] for key in parameters.keys() if key.startswith("principal_point")]  # noqa: SIM118
+    if np.abs(2 * start + crop - size).max() > 1 or np.any(shifts):
+        return None
+    matrix = np.array(sensor.world_transform().matrix, np.float64).reshape(4, 4)
+    # Half the width of the whole film at a distance of 1, and of the image that is its part.
+    half = math.tan(math.radians(float(np.ravel(parameters["x_fov"])[0]) / 2))
+    halves = half * crop / size[0]
+    horizontal, vertical = (2 * math.degrees(math.atan(each)) for each in halves)
+    axes = matrix[:3, :3] / np.linalg.norm(matrix[:3, :3], axis=0)
+    origin, direction, up = (
+        tuple(each.tolist()) for each in (matrix[:3, 3], axes[:, 2], axes[:, 1])
+    )
+    return CameraView(origin, direction, up, horizontal, vertical)

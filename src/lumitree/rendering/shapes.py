@@ -54,7 +54,7 @@ def describe_proxy(
     opened = open_asset(asset)
     if appearance is None:
         appearance = "geometry" if opened.geometry is not None else "field"
-    # In double precision where the transform ends far from where it begins.
+    # In double precision for lamps that are far from the origin of their file.
     transform = mi.ScalarTransform4d if opened.frame.is_far else mi.ScalarTransform4f
     options = {
         "filename": file_name(asset),
@@ -72,7 +72,7 @@ def describe_proxy(
 
 
 def make_shapes(name: str, **options: Any) -> Any:
-    """The mi.Shape of a proxy; or the shapes of the geometry and its proxy, as one that holds them.
+    """The mi.Shape of a proxy; or one shape that contains the proxy and the geometry's shapes.
 
     The ids of the geometry's shapes begin with `name`, the id of its proxy.
     """
@@ -86,8 +86,8 @@ def make_shapes(name: str, **options: Any) -> Any:
     lamp = proxy.emitter().lamp
     # The plugin `merge` expands into the shapes that it is given.
     shapes = geometry_shapes(matrix, lamp)
-    lamp.own_shapes += map(shape_number, shapes)
-    lamp.own_media += {medium_number(each) for each in media_of(shapes) if scatters(each)}
+    lamp.shape_numbers += map(shape_number, shapes)
+    lamp.medium_numbers += {medium_number(each) for each in media_of(shapes) if scatters(each)}
     together = {f"geometry_{index}": shape for index, shape in enumerate(shapes)}
     proxy.set_id(name)
     for key, shape in together.items():

@@ -1,8 +1,7 @@
-"""Straight light: points of a lamp's own emitters, whose light reaches a receiver without a vertex.
+"""Straight light: points of a lamp's emitters, whose light reaches a receiver without a vertex.
 
-The light field says where to look: emitters are sampled by the straight light that it has of them
-in the direction of the receiver. The geometry, which is in the scene, says what is there: a shadow
-ray decides whether the light arrives.
+Emitters are sampled by their straight light in the light field, in the direction of the receiver.
+The geometry is in the scene: a shadow ray decides whether the light arrives.
 
 An element is a triangle, a disk, a cylinder or a sphere, or a part of one that is large or whose
 radiance varies. A point of it is o + w₁ e₁ + w₂ e₂ + w₃ e₃, where the weights are of its kind.
@@ -41,17 +40,17 @@ from lumitree.rendering.sampling import STRAIGHT, Target, resample, scrambled
 
 # Clusters at most, the depth of the finest grid whose cells they are, and how many are candidates.
 _CLUSTERS, _DEPTH, _CANDIDATES = 16, 5, 2
-# Part of what emitters would send if nothing were in the way that is straight light at least: paths
-# may have missed some. A part of its mean over all directions is added to it.
+# Least straight light, relative to the light of unoccluded emitters: paths may have missed some.
+# And part of the mean over all directions that is added to the unoccluded light.
 _MISSED, _ANYWHERE = 0.02, 0.2
-# Cells of receivers, see `receiver_cells`.
+# Cells of receivers, see `ReceiverCells`.
 _RECEIVERS = (16, 4, 0.3)
 # Bins of direction a side, and entries of the table of elements by direction: lamps with more
 # elements have fewer bins.
 _BINS, _MAX_ENTRIES = 16, 1 << 21
-# Parts of the mean radiance of its surface that is added to that of an element, since bright spots
-# may lie between its points; and of what an element sends on the average over the sphere that is
-# added in all directions, since receivers see the elements of a cluster from other directions.
+# Part of the mean radiance of a surface that is added to each of its elements, since bright spots
+# may lie between their points; and part of the mean intensity of an element over the sphere that is
+# added in all directions, since the direction to a receiver differs within a cluster.
 _FLOOR, _SPREAD = 0.2, 0.05
 
 
@@ -65,8 +64,8 @@ class StraightLight:
         factors: [3] factors on R, G and B.
 
     Attributes:
-        densities: [N] of the surfaces: density per local area that stands for that of their points
-            in weights of multiple importance sampling.
+        densities: [N] of the surfaces: density per local area for weights of multiple importance
+            sampling, the same for all points of a surface.
     """
 
     def __init__(
@@ -106,16 +105,16 @@ class StraightLight:
         self._middles = on_device(mi.Float, np.concatenate([middles, size[:, None]], axis=1))
         self._resolution = 8 if field is None else field.resolution
         bare = _bare(cluster, light @ np.array(factors), each.normal, self._resolution)
-        seen = bare
+        outside = bare
         if field is not None:
-            # Of what is hidden in part, the root mean square of samples, and not their mean.
+            # For partly hidden emitters, the root mean square of samples, and not their mean.
             straight = _straight(field, middles, factors)
-            seen = np.sqrt(np.maximum(straight, _MISSED * bare) * bare)
-        # What receivers outside the box get of clusters, and others.
-        self._intensity = on_device(mi.Float, np.stack([seen, bare]))
+            outside = np.sqrt(np.maximum(straight, _MISSED * bare) * bare)
+        # Intensities of clusters for receivers outside the box, and inside.
+        self._intensity = on_device(mi.Float, np.stack([outside, bare]))
         self._clusters = parameter(mi.UInt32, len(flux))
         self._around = ReceiverCells(half_extents, *_RECEIVERS)
-        scale = parameter(mi.Float, max(float(seen.max()), 1e-30))
+        scale = parameter(mi.Float, max(float(outside.max()), 1e-30))
         rows = cell_rows(self._around, corners, self._towards, scale, flux)
         self._table = AliasTable(rows, (self._around.count + 1, len(flux)))
 
@@ -125,7 +124,7 @@ class StraightLight:
         return mi.Vector3f(x - mi.Point3f(middle.x, middle.y, middle.z)), middle.w
 
     def _towards(self, cluster, offset, _distance):
-        """What a cluster sends to receivers outside the box, in the direction of a mi.Vector3f."""
+        """Intensity of a cluster for receivers outside the box, in a direction (mi.Vector3f)."""
         return mi.Color3f(self._sent(cluster, offset, mi.Bool(False), mi.Bool(True)))
 
     def _sent(self, cluster, offset, inside, active):
@@ -139,7 +138,7 @@ class StraightLight:
     ) -> None:
         """Let a target be one of straight light, with the probability of its part of the light.
 
-        Resampled importance sampling, as `DeviceLightField.sample_point`. Its clusters and the
+        Resampled importance sampling, as `CellLight.sample_point`. Its clusters and the
         points of stored light are candidates alike.
 
         Args:
@@ -187,7 +186,7 @@ class StraightLight:
         place, cluster = mi.Point2f(random.y, random.z), dr.select(active, target.cell, 0)
         offset, _ = self._offset(x, cluster, active)
         bins = bin_of(offset, self._bins, bevelled=False)
-        entry, chance = self._entries.sample(bins, random.x, active, cluster)
+        entry, entry_pmf = self._entries.sample(bins, random.x, active, cluster)
         entry += dr.gather(mi.UInt32, self._first, cluster, active)
         found = self._elements.point(entry, place, active)
         offset = mi.Vector3f(found.p - x)
@@ -195,7 +194,7 @@ class StraightLight:
         per_area = dr.abs(dr.dot(found.n, offset)) * dr.rsqrt(squared) / squared
         front = active & (dr.dot(found.facing, offset) < 0) & (per_area > 0)
         # Radiance over the density per steradian with which the point is sampled.
-        light = self._factors * found.radiance * (per_area * found.area / chance)
+        light = self._factors * found.radiance * (per_area * found.area / entry_pmf)
         target.light = dr.select(front, light * (target.factor / target.pmf), 0)
         target.density = dr.select(front, found.density / per_area, 0)
         distance = dr.sqrt(squared)
@@ -259,7 +258,7 @@ _SIDE, _ELEMENTS = 1 / 16, 1 << 15
 _CURVED = 8
 # Points of each element at which a radiance that varies is evaluated.
 _POINTS = 16
-# Packets of four numbers of an element, and of what differs between its corners.
+# Packets of four numbers of an element, and of values at its corners.
 _PACKETS, _CORNERS = 5, 3
 
 # Radiance at points of a surface, which uses `si.uv` alone.
@@ -347,8 +346,8 @@ class ElementPoint:
     p: mi.Point3f
     n: mi.Vector3f          # True normal
     facing: mi.Vector3f     # Shading normal, on whose side the element emits
-    area: mi.Float          # Of the element
-    density: mi.Float       # Of `Elements.densities`
+    area: mi.Float          # Area of the element
+    density: mi.Float       # See `Elements.densities`
     radiance: mi.Color3f
     # fmt: on
 
@@ -365,7 +364,7 @@ class Elements:
         radiance, surface_radiance: [E, 3] and [N, 3] mean radiance of the elements, and of the
             surfaces.
         middle, normal: [E, 3].
-        densities: [N] of the surfaces: what they emit, of all, over their area.
+        densities: [N] of the surfaces: fraction of all emission over their area.
     """
 
     def __init__(self, surfaces: Sequence[EmittingSurface]) -> None:
@@ -391,7 +390,7 @@ class Elements:
         power = [np.bincount(self.surface, self.area * each) for each in self.radiance.T]
         self.surface_radiance = np.stack(power, axis=1) / areas[:, None]
         mean = self.surface_radiance.mean(axis=1)
-        # Black surfaces are sampled too, and what they emit is 0.
+        # Black surfaces are sampled too; their emission is 0.
         mean = mean if mean.any() else np.ones(len(mean))
         self.densities = mean / (mean * areas).sum()
         table[:, 4, 3] = self.densities[self.surface]
@@ -459,7 +458,7 @@ class Elements:
         return weights
 
     def _at_corners(self, table, entry, weights, active):
-        """What is linear between the corners of triangles (mi.Vector3f)."""
+        """Values that are linear between the corners of triangles (mi.Vector3f)."""
         total = mi.Vector3f(0)
         for corner, weight in enumerate(weights):
             packet = dr.gather(mi.Vector4f, table, _CORNERS * entry + corner, active)
@@ -480,8 +479,8 @@ class Elements:
         else:
             self._textures.append(surface.radiance)
             texcoords[:, 0, 3] = len(self._textures)
-            own = surface.texcoords
-            texcoords[..., :2] = _BARYCENTRIC if own is None else own
+            given = surface.texcoords
+            texcoords[..., :2] = _BARYCENTRIC if given is None else given
         numbers = {"table": table, "normals": normals, "texcoords": texcoords}
         parts = side**2
         numbers = {name: np.repeat(each, parts, axis=0) for name, each in numbers.items()}

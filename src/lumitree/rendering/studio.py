@@ -19,8 +19,8 @@ from lumitree.lamp.luminaire import Luminaire
 from lumitree.lamp.scene_shapes import reusable_shapes
 from lumitree.rendering.asset_images import (
     LampCamera,
+    asset_scene,
     geometry_integrator,
-    scene_alone,
     shown_images,
 )
 from lumitree.trace.cameras import PATH_DEPTH, path_integrator
@@ -63,7 +63,7 @@ def asset_photographs(
             tonemap(radiance * factor + BACKDROP * (1 - opacity[..., None]))
             for radiance, opacity in shown
         ]
-    studio = _Studio(scene_alone(asset), geometry_integrator(), half_width, resolution)
+    studio = _Studio(asset_scene(asset), geometry_integrator(), half_width, resolution)
     return studio.photographs(poses, spp, exposure, asset.luminaire)
 
 

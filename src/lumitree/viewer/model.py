@@ -12,13 +12,15 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.asset.array_stream import Arrays
 from lumitree.asset.asset import Asset
 from lumitree.core.device import on_device
 from lumitree.core.octahedral import octahedral
+from lumitree.core.results import Json
 from lumitree.exports.surfaces import geometry_meshes, meshed
+from lumitree.rendering.asset_images import vertex_radiance
 from lumitree.rendering.studio import portrait_half_width, studio_lights
-from lumitree.rendering.surface_radiance import vertex_radiance
-from lumitree.viewer.surfaces import SIDE, WRAPS, Kind, Patterns, Surface, page_surface
+from lumitree.viewer.surfaces import SIDE, WRAPS, Kind, PageSurface, Patterns, page_surface
 from lumitree.viewer.triangles import Triangles, smoothed
 
 # Codes of coordinates from -1 to 1, local units, and of octahedral coordinates of normals.
@@ -44,8 +46,8 @@ class PageModel:
             "surfaces".
     """
 
-    description: dict[str, Any]
-    arrays: dict[str, NDArray[Any]]
+    description: Json
+    arrays: Arrays
 
 
 def page_model(asset: Asset) -> PageModel:
@@ -55,7 +57,7 @@ def page_model(asset: Asset) -> PageModel:
     geometry = meshed(asset.geometry)
     asset = dataclasses.replace(asset, geometry=geometry)
     meshes = geometry_meshes(geometry, asset.frame.local_from_world)
-    rows: list[Surface] = []
+    rows: list[PageSurface] = []
     patterns = Patterns(geometry)
     triangles = Triangles(patterns)
     for shape, mesh in zip(geometry.shapes, meshes, strict=True):
@@ -95,9 +97,10 @@ def page_model(asset: Asset) -> PageModel:
             _PLACE_CODES,
         ],
     }
+    on_octahedron = np.array(octahedral(on_device(mi.Vector3f, normals)), np.float32)
     arrays = {
         "positions": _codes(vertices, _POSITION_CODES).astype(np.int32),
-        "normals": _codes(_on_octahedron(normals), _NORMAL_CODES).astype(np.int16),
+        "normals": _codes(on_octahedron.reshape(2, -1).T, _NORMAL_CODES).astype(np.int16),
         "places": np.rint(places * _PLACE_CODES).astype(np.int32),
         "light": _radiance_codes(light / largest),
         "soft": _radiance_codes(soft / largest_soft),
@@ -118,8 +121,8 @@ def _sent_out(
     asset: Asset,
     vertices: NDArray[np.float32],
     pattern: NDArray[np.float32],
-    fronts: NDArray[Any],
-    backs: NDArray[Any],
+    fronts: NDArray[np.integer],
+    backs: NDArray[np.integer],
     lights: Mapping[str, Any] | None = None,
 ) -> NDArray[np.float32]:
     """Mean radiance [V, 6] that vertices send out at front and back, over the mean of a pattern."""
@@ -160,11 +163,6 @@ def _sent_out(
 def _codes(values: NDArray[np.floating], count: int) -> NDArray[np.floating]:
     """Integers from 0 to `count` - 1 of values from -1 to 1."""
     return np.rint((np.clip(values, -1, 1) + 1) / 2 * (count - 1))
-
-
-def _on_octahedron(normals: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Octahedral coordinates [V, 2]."""
-    return np.array(octahedral(on_device(mi.Vector3f, normals)), np.float32).reshape(2, -1).T
 
 
 def _radiance_codes(relative: NDArray[np.floating]) -> NDArray[np.int16]:

@@ -8,12 +8,10 @@ float16 relative to the largest of each cell.
 
 import base64
 import dataclasses
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lumitree.asset.array_stream import Layout, compressed
+from lumitree.asset.array_stream import Arrays, Layout, compressed
 from lumitree.asset.asset import Asset
 from lumitree.asset.field_file import (
     BRIGHT,
@@ -26,6 +24,7 @@ from lumitree.asset.field_file import (
 )
 from lumitree.asset.light_field import LightField, unpack
 from lumitree.core.photometry import luminance
+from lumitree.core.results import Json
 from lumitree.errors import LumitreeError
 from lumitree.octree.build import wide_levels, wide_nodes
 from lumitree.rendering.studio import BACKDROP, OWN, SOFTBOX, portrait_half_width, softboxes
@@ -48,13 +47,13 @@ class PackedAsset:
         block: the stream (`array_stream`), in base64.
     """
 
-    description: dict[str, Any]
+    description: Json
     block: str
 
 
 def pack_asset(asset: Asset) -> PackedAsset:
     """Convert an asset for the page; refuses one too large for textures of WebGL 2."""
-    arrays: dict[str, NDArray[Any]] = {}
+    arrays: Arrays = {}
     has_field, view = asset.num_leaves > 0, DEFAULT_VIEW
     model = field = light = None
     texels = [0]
@@ -83,10 +82,13 @@ def pack_asset(asset: Asset) -> PackedAsset:
         Layout(name, array.dtype, array.shape, planes=name in in_planes)
         for name, array in arrays.items()
     ]
+    # Subjects of the page's images.
+    subjects = ["model"] * (model is not None) + ["field"] * has_field
+    shown = " and ".join(subjects) or "light field"
     description = {
         "luminaire": asset.luminaire,
         "bytes": asset.num_bytes,
-        "shown": _shown(model is not None, has_field),
+        "shown": shown,
         "has_field": has_field,
         "view": view,
         "half_extents": asset.frame.half_extents.tolist(),
@@ -112,15 +114,10 @@ def pack_asset(asset: Asset) -> PackedAsset:
     return PackedAsset(description, block)
 
 
-def _shown(has_model: bool, has_field: bool) -> str:
-    """Subjects of the page's images."""
-    return " and ".join(["model"] * has_model + ["field"] * has_field) or "light field"
-
-
-def _field(asset: Asset, steps: Steps) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+def _field(asset: Asset, steps: Steps) -> tuple[Json, Arrays]:
     levels = wide_nodes(asset.children, asset.tree_depth)
     starts = np.concatenate([[0], np.cumsum([level.size for level in levels])])
-    arrays: dict[str, NDArray[Any]] = {
+    arrays: Arrays = {
         "nodes": np.concatenate(levels),
         "density": density_codes(asset.density),
         # One texel of R, G and B for each coefficient.
@@ -141,9 +138,7 @@ def _field(asset: Asset, steps: Steps) -> tuple[dict[str, Any], dict[str, NDArra
     return description, arrays
 
 
-def _light_field_arrays(
-    field: LightField, factors: tuple[float, float, float]
-) -> dict[str, NDArray[Any]]:
+def _light_field_arrays(field: LightField, factors: tuple[float, float, float]) -> Arrays:
     """Luminous intensity of the bins that emit, in cd for local units of 1 m, and their cells."""
     luminous = luminance(unpack(field.intensity) * field.scale * np.array(factors))
     counts = np.bitwise_count(field.lit).sum(axis=1, dtype=np.int64)

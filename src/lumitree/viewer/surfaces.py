@@ -1,7 +1,7 @@
 """How the page treats the surfaces of a lamp's geometry, and the images that give them a pattern.
 
 The page follows rays through glass and from metals, rough ones too. Any other surface is *baked*: a
-ray ends there with the mean radiance of the surface (`surface_radiance`), which is the radiance of
+ray ends there with the mean radiance of the surface (`vertex_radiance`), which is the radiance of
 its vertices times its pattern. A pattern is an image of its radiance or of its colour, relative to
 the largest value.
 """
@@ -53,7 +53,7 @@ class Kind(enum.IntEnum):
 
 
 @dataclasses.dataclass(frozen=True)
-class Surface:
+class PageSurface:
     """A surface of the page.
 
     Attributes:
@@ -105,23 +105,24 @@ class Surface:
         return [float(self.kind), float(flags), self.alpha, self.index, *padded]
 
 
-def page_surface(geometry: AssetGeometry, shape: Shape, scale: float) -> Surface:
+def page_surface(geometry: AssetGeometry, shape: Shape, scale: float) -> PageSurface:
     """The surface of a shape of the geometry; `scale` is lengths of its file per local unit."""
     material, two_sided = geometry.materials[shape.material], False
     while isinstance(material, TwoSided) and len(material.nested) == 1:
         (material,), two_sided = material.nested, True
     emits = shape.radiance is not None
-    baked = Surface(Kind.BAKED, has_back=two_sided or _has_back(material), emits=emits)
+    baked = PageSurface(Kind.BAKED, has_back=two_sided or _has_back(material), emits=emits)
     if emits or shape.scatters or not isinstance(material, Glass | Metal | MetallicRoughness):
         return baked
     pbr = converted(material)
     found = _traced(pbr, isinstance(material, MetallicRoughness))
     if found is None:
         return baked
-    inside, outside = (
-        (0.0, 0.0, 0.0) if each is None else _rgb(np.array(each.absorption) * scale)
+    media = (
+        (0.0, 0.0, 0.0) if each is None else each.scaled(1 / scale).absorption
         for each in (shape.interior, shape.exterior)
     )
+    inside, outside = media
     return dataclasses.replace(
         found,
         has_back=found.has_back or two_sided,
@@ -133,7 +134,7 @@ def page_surface(geometry: AssetGeometry, shape: Shape, scale: float) -> Surface
     )
 
 
-def _traced(material: PbrMaterial, is_model: bool) -> Surface | None:
+def _traced(material: PbrMaterial, is_model: bool) -> PageSurface | None:
     """Glass or metal; None for another surface. `is_model`: of `MetallicRoughness`."""
     layers = material.metallic, material.transmission, material.clearcoat, material.anisotropy
     metallic, transmission, *others = layers
@@ -146,11 +147,13 @@ def _traced(material: PbrMaterial, is_model: bool) -> Surface | None:
     if metallic == ONE and transmission == BLACK:
         if alpha > _LARGEST_ALPHA:
             return None
-        return Surface(Kind.METAL, has_back=False, alpha=alpha, reflected=material.colour.factor)
+        return PageSurface(
+            Kind.METAL, has_back=False, alpha=alpha, reflected=material.colour.factor
+        )
     if metallic == BLACK and transmission == ONE:
         # The colour of the material multiplies light that crosses both surfaces of a solid.
         tint = material.colour if material.thin else material.colour.root()
-        return Surface(
+        return PageSurface(
             Kind.THIN_GLASS if material.thin else Kind.GLASS,
             alpha=alpha,
             index=material.index,
@@ -166,11 +169,6 @@ def _has_back(material: Material) -> bool:
     if isinstance(material, TwoSided) or thin or transmits(material):
         return True
     return any(map(_has_back, material.nested))
-
-
-def _rgb(values: NDArray[np.float64]) -> RGB:
-    red, green, blue = values.tolist()
-    return (red, green, blue)
 
 
 class Patterns:

@@ -221,7 +221,7 @@ def _handler(content: bytes) -> Callable[..., BaseHTTPRequestHandler]:
             hosts = self.headers.get_all("Host", [])
             return len(hosts) == 1 and hosts[0].strip().lower() in allowed
 
-        def log_message(self, format: str, *args: Any) -> None:
+        def log_message(self, format: str, *args: object) -> None:
             """Requests are not logged."""
 
     return Handler

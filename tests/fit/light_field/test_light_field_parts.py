@@ -16,7 +16,6 @@ from lumitree.cli import main
 from lumitree.core.photometry import colour_temperature, luminance
 from lumitree.errors import LumitreeError
 from lumitree.fit.light_field import bake as light_field_bake
-from lumitree.fit.light_field.saved_field import LIGHT_FIELD_STATE
 from lumitree.lamp.luminaire import load_luminaire
 from support import tiny_bakes
 from support.fields import random_asset
@@ -85,11 +84,12 @@ def test_equal_calls_give_equal_files(tmp_path):
 @pytest.mark.slow
 def test_the_field_alone(untraced):
     baked = lumitree.bake("lamp.xml", "lamp.lumitree", standard(parts=["field"]))
-    assert baked.asset.light_field is None
-    assert baked.asset.info.light_field_cells == 0
     assert baked.asset.info.leaves > 10
     assert set(baked.seconds) == {"bake", "irradiance"}
-    assert lumitree.load("lamp.lumitree").light_field is None
+    # It is made of the field's rays.
+    light_field = lumitree.load("lamp.lumitree").light_field
+    assert len(light_field.cells) > 0
+    assert light_field.traced is None
 
 
 @pytest.mark.slow
@@ -97,7 +97,7 @@ def test_both_parts_and_their_refinement():
     """Each part is that of a bake of it alone, and `refine` keeps the light field."""
     both = lumitree.bake("lamp.xml", "both.lumitree", work="state")
     assert set(both.seconds) == {"light", "bake", "irradiance"}
-    assert LIGHT_FIELD_STATE in os.listdir("state")
+    assert "light.npz" in os.listdir("state")
     alone = lumitree.bake("lamp.xml", config=standard(parts=("light",))).asset
     assert_equal_fields(both.asset.light_field, alone.light_field)
     field = lumitree.bake("lamp.xml", config=standard(parts={"field"})).asset
@@ -108,7 +108,8 @@ def test_both_parts_and_their_refinement():
     assert_equal_fields(lumitree.load("refined.lumitree").light_field, alone.light_field)
     assert refined.asset.info.leaves >= field.info.leaves
     plain = lumitree.refine(field, "lamp.xml", rays=1 << 14)
-    assert plain.asset.light_field is None
+    assert plain.asset.light_field.traced is None
+    assert plain.asset.light_field is not field.light_field
 
 
 def test_the_same_work_folder_gives_the_field_without_tracing(monkeypatch):
@@ -225,7 +226,7 @@ def test_datasets_have_a_field_only(untraced, capsys):
     views = {"views": 6, "resolution": 24, "spp": 4}
     lumitree.capture("lamp.xml", "views", **views)
     baked = lumitree.bake("views", "lamp.lumitree", parts=["field"])
-    assert baked.asset.light_field is None
+    assert baked.asset.light_field.traced is None
     assert baked.irradiance is None
     assert baked.asset.info.leaves > 0
     for parts in ("light", "light,field"):
@@ -350,7 +351,7 @@ def test_an_interrupted_bake_keeps_the_light_field(monkeypatch):
     assert not cut.complete
     assert cut.stopped_by == signal.SIGTERM
     assert cut.asset.light_field is not None
-    assert LIGHT_FIELD_STATE in os.listdir("lamp.work")
+    assert "light.npz" in os.listdir("lamp.work")
     monkeypatch.setattr(Refiner, "advance", advance)
     monkeypatch.setattr(light_field_bake, "LampRays", None)
     whole = lumitree.bake("lamp.xml", "lamp.lumitree")
@@ -374,7 +375,7 @@ def test_info_of_an_light_field_needs_no_llvm(tmp_path, monkeypatch, capsys):
     def refused():
         raise LumitreeError("no libLLVM")
 
-    monkeypatch.setattr("lumitree.rendering.asset_info.load_mitsuba", refused)
+    monkeypatch.setattr("lumitree.rendering.asset_cache.load_mitsuba", refused)
     assert main(["info", str(tmp_path / "lamp.lumitree")]) == 0
     assert "lumens" in capsys.readouterr().out
     lumitree.save(lamp, tmp_path / "field.lumitree")

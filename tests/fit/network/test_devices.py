@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from lumitree.fit.network.step import initial_state
-from lumitree.fit.network.train import restore_checkpoint, train
+from lumitree.fit.network.train import load_run, train
 from support.four_devices import steps
 from support.sphere import TINY, sphere_dataset
 
@@ -67,7 +67,7 @@ def test_a_run_on_four_devices_can_be_read_on_one(tmp_path):
     train(dataset, tmp_path / "one", TINY, stop_after=4)
     _run_with_four("-c", RESUMED, dataset, tmp_path / "four")
     template = initial_state(TINY, 0.1)[1]
-    one, four = (restore_checkpoint(tmp_path / name, template) for name in ("one", "four"))
+    one, four = (load_run(tmp_path / name).state for name in ("one", "four"))
     assert int(four.step) == 4
     leaves = [[np.asarray(x) for x in jax.tree.leaves(s.params)] for s in (one, four, template)]
     _assert_equal_to_rounding(*leaves)

@@ -7,12 +7,11 @@ import pytest
 from lumitree.core.frames import orthographic_rays, view_pose
 from lumitree.errors import LumitreeError
 from lumitree.fit.network.rays import (
+    Occupancy,
     contains,
     dilated_hull,
     full_occupancy,
-    load_occupancy,
     load_rays,
-    save_occupancy,
 )
 from support.sphere import CENTRE, HALF_EXTENTS, HALF_WIDTH, RADIUS, hit_distance, sphere_dataset
 
@@ -70,44 +69,12 @@ def test_what_a_view_does_not_show_is_kept():
     assert np.asarray(hull.cells).mean() > 0.8
 
 
-def test_occupancy_round_trip(tmp_path):
+def test_occupancy_round_trip():
     cells = np.random.default_rng(0).random((5, 7, 3)) < 0.5
     saved = full_occupancy((1.0, 0.5, 0.2))._replace(cells=cells)
-    save_occupancy(tmp_path / "grid.npz", saved)
-    loaded = load_occupancy(tmp_path / "grid.npz")
+    loaded = Occupancy.of_arrays(saved.arrays())
     np.testing.assert_array_equal(loaded.cells, cells)
     np.testing.assert_array_equal(loaded.half_extents, saved.half_extents)
-    (tmp_path / "grid.npz").write_bytes((tmp_path / "grid.npz").read_bytes()[:40])
-    with pytest.raises(LumitreeError, match="not a readable occupancy grid"):
-        load_occupancy(tmp_path / "grid.npz")
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"shape": np.array([5, 7, 4], np.int32)},
-        {"shape": np.array([5, 7, -3], np.int32)},
-        {"shape": np.array([2**20, 2**20, 2**20], np.int32)},
-        {"shape": np.array([5, 7], np.int32)},
-        {"shape": np.array(["5", "7", "3"])},
-        {"bits": np.zeros(14)},
-        {"bits": np.zeros(3, np.uint8)},
-        {"half_extents": np.array(["1", "1", "1"])},
-        {"half_extents": np.ones(2, np.float32)},
-        {"half_extents": np.ones(3, complex)},
-    ],
-)
-def test_wrong_arrays_are_no_occupancy(tmp_path, change):
-    arrays = {
-        "bits": np.zeros(14, np.uint8),
-        "shape": np.array([5, 7, 3], np.int32),
-        "half_extents": np.ones(3, np.float32),
-    }
-    np.savez(tmp_path / "grid.npz", **arrays)
-    load_occupancy(tmp_path / "grid.npz")
-    np.savez(tmp_path / "grid.npz", **(arrays | change))
-    with pytest.raises(LumitreeError, match="not a readable occupancy grid"):
-        load_occupancy(tmp_path / "grid.npz")
 
 
 def test_dropped_rays_are_background(tmp_path):

@@ -118,14 +118,13 @@ def interrupt_after(monkeypatch, steps):
 
 def test_interrupted_bake_continues(ball, tmp_path, monkeypatch):
     from lumitree.fit.octree.bake import bake
-    from lumitree.fit.octree.saved_state import STATE
 
     steps = interrupt_after(monkeypatch, 5)
     first = bake(ball, config(), tmp_path)
     assert first.stopped_by == signal.SIGINT
     assert steps == [1, 2, 3, 4, 5]
     assert 0 < first.rays < RAYS
-    assert (tmp_path / STATE).exists()
+    assert (tmp_path / "octree.npz").exists()
 
     def refuse(*_):
         raise AssertionError("a continued bake makes no first estimate again")
@@ -159,10 +158,10 @@ def test_budget_may_be_raised_other_settings_may_not(ball, lamp, tmp_path, monke
         (ball, config(refine={"epsilon": 0.01})),
         (ball, config(held_out={"rays": 1 << 14})),
     ):
-        with pytest.raises(LumitreeError, match="unfinished bake of another") as refusal:
+        with pytest.raises(LumitreeError, match="unfinished bake with other inputs") as refusal:
             bake(luminaire, settings, tmp_path)
         assert "\n" not in str(refusal.value)
-    with pytest.raises(LumitreeError, match="unfinished bake of another"):
+    with pytest.raises(LumitreeError, match="unfinished bake with other inputs"):
         bake(ball, config(), tmp_path, seed=1)
     assert len(steps) == 2
     more = dataclasses.replace(config(), rays=RAYS + (1 << 15), time=600.0)

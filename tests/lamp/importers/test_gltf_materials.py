@@ -7,7 +7,7 @@ from lumitree.asset.materials import VertexColours
 from lumitree.core.images import linear_from_srgb
 from lumitree.errors import LumitreeError
 from lumitree.lamp.importers.gltf import read_gltf
-from lumitree.lamp.parts import Principled, Texture
+from lumitree.lamp.parts import MetallicRoughness, Texture
 from support.gltf_builder import QUAD, QUAD_FACES, QUAD_UV, Gltf, box
 from support.gltf_materials import RAMP, extended, material_of, read_only
 
@@ -16,7 +16,7 @@ def test_the_default_material(tmp_path):
     gltf = Gltf()
     gltf.quad()
     (material,) = read_only(gltf.save(tmp_path)).materials
-    assert material.surface == Principled((1.0, 1.0, 1.0), metallic=1.0, roughness=1.0)
+    assert material.surface == MetallicRoughness((1.0, 1.0, 1.0), metallic=1.0, roughness=1.0)
     assert material.radiance is None
     assert material.opacity == 1
     assert material.normal_map is None
@@ -27,7 +27,7 @@ def test_factors(tmp_path):
     core = {"baseColorFactor": [0.1, 0.2, 0.3, 1], "metallicFactor": 0.4, "roughnessFactor": 0.6}
     fields = {"pbrMetallicRoughness": core, "doubleSided": True, "name": "brass knob"}
     material = material_of(tmp_path, Gltf(), fields)
-    assert material.surface == Principled((0.1, 0.2, 0.3), metallic=0.4, roughness=0.6)
+    assert material.surface == MetallicRoughness((0.1, 0.2, 0.3), metallic=0.4, roughness=0.6)
     assert material.two_sided
     assert material.name == "brass_knob"
 

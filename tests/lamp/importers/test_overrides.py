@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from lumitree.asset.geometry import Medium
 from lumitree.core.photometry import blackbody_colour, flux_from_radiance
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.lamp.importers.overrides import (
@@ -17,7 +18,7 @@ from lumitree.lamp.importers.overrides import (
     select_parts,
 )
 from lumitree.lamp.meshes import Mesh
-from lumitree.lamp.parts import Diffuse, Geometry, Glass, Material, Medium, Metal, Part, Principled
+from lumitree.lamp.parts import Diffuse, Geometry, Glass, Material, Metal, MetallicRoughness, Part
 from lumitree.lamp.scene_writer import MaskedEmission
 
 
@@ -74,7 +75,7 @@ def test_other_surfaces(changed):
     assert changed("metal = { tint = [1, 0.5, 0.25] }").surface == Metal((1, 0.5, 0.25))
     assert changed("diffuse = { reflectance = 0 }").surface == Diffuse((0, 0, 0))
     found = changed("principled = { base_color = 0.2, metallic = 1, roughness = 0 }\nopacity = 0.5")
-    assert found.surface == Principled((0.2, 0.2, 0.2), 1.0, 0.0)
+    assert found.surface == MetallicRoughness((0.2, 0.2, 0.2), 1.0, 0.0)
     assert (found.opacity, found.two_sided) == (0.5, True)
 
 

@@ -20,13 +20,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.light_field import MAX_DEPTH, LightField, TracedPaths, make_light_field
+from lumitree.asset.light_field_file import build_light_field, stored_light_field
+from lumitree.core.checkpoint import Checkpoint
 from lumitree.core.executor import run_tasks
+from lumitree.core.files import json_text
 from lumitree.core.octahedral import bin_solid_angles, intensity_of_histogram, solid_angles
 from lumitree.core.photometry import luminance
 from lumitree.core.progress import progress
+from lumitree.core.reading import Record, parse_json
 from lumitree.core.seeds import Purpose, SeedStream
+from lumitree.errors import LumitreeError
 from lumitree.fit.light_field.inside import DISTANCES, EndingDraw, light_inside
-from lumitree.fit.light_field.saved_field import SavedLightField
 from lumitree.lamp.luminaire import LampWorkers, Luminaire, received_luminaire
 from lumitree.trace.flux import check_output
 from lumitree.trace.histograms import (
@@ -76,8 +80,13 @@ def bake_light_field(
         LumitreeError: no light leaves the luminaire, a path's flux is NaN or infinite, or a worker
             is lost.
     """
-    saved = SavedLightField(folder, luminaire, config, seed)
-    if (field := saved.load()) is not None:
+    inputs = {
+        "luminaire": luminaire.fingerprint,
+        "config": dataclasses.asdict(config),
+        "seed": seed,
+    }
+    checkpoint = Checkpoint(folder / "light.npz", inputs, "bake")
+    if (field := _saved(checkpoint)) is not None:
         return field
     depth = grid_depth(luminaire) if config.depth is None else config.depth
     leaving = LightHistogram(depth, config.resolution)
@@ -109,8 +118,20 @@ def bake_light_field(
     bent = intensity * np.divide(bent, flux, out=bent, where=flux > 0)
     field = make_light_field(leaving.cells, intensity, depth, traced, bent=bent)
     field = dataclasses.replace(field, inside=light_inside(field, ending, seed))
-    saved.save(field)
+    tensors, description = stored_light_field(field)
+    checkpoint.try_save({"description": np.array(json_text(description)), **tensors})
     return field
+
+
+def _saved(checkpoint: Checkpoint) -> LightField | None:
+    """The field of a checkpoint; None where it is another luminaire's or damaged."""
+    try:
+        if (arrays := checkpoint.load()) is None:
+            return None
+        description = parse_json(str(arrays.pop("description")))
+        return build_light_field(Record(description, "the light field"), arrays)
+    except (LumitreeError, KeyError):
+        return None
 
 
 def relative_noise(estimates: NDArray[np.float64]) -> float | None:

@@ -14,18 +14,15 @@ have 64 million rays, of which about half cross the box: 0.7 to 1.4 GB.
 
 import dataclasses
 import math
-import os
-from collections.abc import Iterable
-from typing import NamedTuple
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lumitree.core.files import atomic_path
 from lumitree.core.frames import orthographic_rays
-from lumitree.core.reading import read_arrays
 from lumitree.errors import LumitreeError
 from lumitree.lamp.dataset import Dataset, OpacityKind, visual_hull
 
@@ -38,6 +35,22 @@ class Occupancy(NamedTuple):
 
     cells: jax.Array | NDArray[np.bool_]
     half_extents: jax.Array | NDArray[np.float32]
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """The grid as arrays for a checkpoint, its cells as packed bits."""
+        cells = np.asarray(self.cells)
+        return {
+            "occupied": np.packbits(cells),
+            "grid": np.array(cells.shape, np.int32),
+            "half_extents": np.asarray(self.half_extents),
+        }
+
+    @staticmethod
+    def of_arrays(arrays: Mapping[str, NDArray[Any]]) -> "Occupancy":
+        """The grid of `arrays`."""
+        shape = arrays["grid"].tolist()
+        cells = np.unpackbits(arrays["occupied"], count=math.prod(shape)).astype(bool)
+        return Occupancy(cells.reshape(shape), arrays["half_extents"].astype(np.float32))
 
 
 def full_occupancy(half_extents: ArrayLike) -> Occupancy:
@@ -100,38 +113,6 @@ def occupied_bins(
     centres = near[:, None] + (jnp.arange(num_bins) + 0.5) * length[:, None]
     positions = origins[:, None, :] + centres[..., None] * directions[:, None, :]
     return contains(occupancy, positions) & (length > 0)[:, None], near, length
-
-
-def save_occupancy(path: str | os.PathLike[str], occupancy: Occupancy) -> None:
-    """Write the grid as an `.npz` archive, its cells as packed bits, atomically."""
-    cells = np.asarray(occupancy.cells)
-    with atomic_path(path) as temporary, open(temporary, "wb") as file:
-        np.savez_compressed(
-            file,
-            bits=np.packbits(cells),
-            shape=np.array(cells.shape, np.int32),
-            half_extents=np.asarray(occupancy.half_extents),
-        )
-
-
-def load_occupancy(path: str | os.PathLike[str]) -> Occupancy:
-    """Read what `save_occupancy` wrote; refuses a missing or damaged file."""
-    try:
-        arrays = read_arrays(path, "bits", "shape", "half_extents")
-    except LumitreeError as error:
-        raise LumitreeError(f"not a readable occupancy grid: {error}; train again") from None
-    bits, shape, half_extents = arrays.values()
-    # In Python's integers, which do not overflow.
-    count = math.prod(shape.tolist()) if shape.dtype == np.int32 and shape.shape == (3,) else 0
-    if (
-        not (count > 0 and min(shape) > 0 and bits.shape == (-(-count // 8),))
-        or bits.dtype != np.uint8
-        or half_extents.dtype.kind != "f"
-        or half_extents.shape != (3,)
-    ):
-        raise LumitreeError(f"{path} is not a readable occupancy grid; train again")
-    cells = np.unpackbits(bits, count=count).astype(bool).reshape(shape)
-    return Occupancy(cells, half_extents.astype(np.float32))
 
 
 def _dilate(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:

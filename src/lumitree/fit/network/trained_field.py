@@ -14,9 +14,9 @@ from lumitree.core.frames import LocalFrame
 from lumitree.core.harmonics import num_coefficients
 from lumitree.core.transmittance import EmissionWeights, Law
 from lumitree.fit.network.network import render
-from lumitree.fit.network.rays import Occupancy, contains, load_occupancy
+from lumitree.fit.network.rays import Occupancy, contains
 from lumitree.fit.network.step import initial_state
-from lumitree.fit.network.train import OCCUPANCY, RunRecord, restore_checkpoint
+from lumitree.fit.network.train import load_run
 
 # Positions per call of the network. 4096 fit a CPU's caches (and were measured to be three times
 # faster than 8192); a GPU needs more to be busy.
@@ -105,11 +105,9 @@ def load_field(run_path: str | os.PathLike[str]) -> TrainedField:
     Raises:
         LumitreeError: the folder is damaged, not a run, or has no checkpoint.
     """
-    folder = Path(run_path)
-    record = RunRecord.load(folder)
-    occupancy = jax.device_put(load_occupancy(folder / OCCUPANCY))
-    graph, template = initial_state(record.config, initial_emission=0.5)
-    state = restore_checkpoint(folder, template)
+    run = load_run(Path(run_path))
+    record, state, occupancy = run.record, run.state, jax.device_put(run.occupancy)
+    graph, _ = initial_state(record.config, initial_emission=0.5)
     networks, config = nnx.merge(graph, state.params), record.config
 
     def rendered(origins: jax.Array, directions: jax.Array) -> tuple[jax.Array, jax.Array]:

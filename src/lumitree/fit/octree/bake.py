@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
+from lumitree.core.checkpoint import Checkpoint
 from lumitree.core.harmonics import Y_00, num_coefficients
 from lumitree.core.interruption import deferred_interrupt
 from lumitree.core.progress import progress
@@ -27,7 +28,6 @@ from lumitree.fit.octree.descent import Budget, Descent, HeldOut, Refiner, Score
 from lumitree.fit.octree.estimate import estimate, grow
 from lumitree.fit.octree.leaf_field import LEAVES, LeafField
 from lumitree.fit.octree.rays import RaySource, Subject, TracedRays
-from lumitree.fit.octree.saved_state import StateFile
 from lumitree.fit.octree.stored import StoredRays
 from lumitree.lamp.dataset import Dataset
 from lumitree.lamp.luminaire import Luminaire
@@ -65,7 +65,7 @@ def bake(
         seed: root seed of all random numbers.
 
     Raises:
-        LumitreeError: no light leaves the luminaire, or `folder` holds the state of another bake.
+        LumitreeError: no light leaves the luminaire, or `folder` has the state of another bake.
     """
     source = _traced_rays(luminaire, config, seed)
 
@@ -82,7 +82,7 @@ def bake_stored(
     """Bake the views of a dataset; otherwise as `bake`.
 
     Raises:
-        LumitreeError: the views are black, too few or have nothing in common, or `folder` holds the
+        LumitreeError: the views are black, too few or have nothing in common, or `folder` has the
             state of another bake.
     """
     source = StoredRays(dataset, config.views.held_out_stride, seed)
@@ -113,16 +113,16 @@ def refine(
             made with.
 
     Raises:
-        LumitreeError: the bounding boxes of asset and luminaire differ, or `folder` holds the state
+        LumitreeError: the bounding boxes of asset and luminaire differ, or `folder` has the state
             of another bake.
     """
-    own, other = asset.frame, luminaire.frame
-    moved = np.abs(own.world_from_local - other.world_from_local).max()
-    near = moved <= 1e-3 * min(own.scale, other.scale)
-    if not (near and np.allclose(own.half_extents, other.half_extents, atol=1e-3)):
+    first, second = asset.frame, luminaire.frame
+    moved = np.abs(first.world_from_local - second.world_from_local).max()
+    near = moved <= 1e-3 * min(first.scale, second.scale)
+    if not (near and np.allclose(first.half_extents, second.half_extents, atol=1e-3)):
         raise LumitreeError(
             f"the asset ({asset.luminaire}) and {luminaire.name} have different bounding boxes; "
-            "refine an asset with its own luminaire"
+            "refine an asset with the luminaire that it was baked from"
         )
     config = dataclasses.replace(
         config, tree_depth=asset.tree_depth, l_max=asset.l_max, law=asset.law
@@ -145,23 +145,26 @@ def _run(
 ) -> OctreeFitResult:
     """Start, or continue from the state in `folder`; spend the budget and make the asset."""
     name = source.subject.name
-    state_file = StateFile(folder, source.subject, config, seed)
-    saved = state_file.load()
+    inputs = dataclasses.asdict(config)
+    # A bake may continue with another budget.
+    del inputs["time"], inputs["rays"]
+    inputs |= {"luminaire": source.subject.fingerprint, "seed": seed}
+    checkpoint = Checkpoint(folder / "octree.npz", inputs, "bake")
+    saved = checkpoint.load()
     if saved is None:
         budget = Budget(config, 0.0, 0)
         field, max_radiance = start()
+        refiner = Refiner(field, source, max_radiance, config.refine, config.split)
+        best = refiner.field
     else:
-        budget = Budget(config, saved.seconds, saved.rays)
-        field, max_radiance = _empty_field(config, source), saved.max_radiance
-    refiner = Refiner(field, source, max_radiance, config.refine, config.split)
-    best = None
-    if saved is not None:
-        refiner.restore(saved.arrays)
-        best = refiner.field.with_leaves(*(saved.arrays[f"best_{name}"] for name in LEAVES))
+        budget = Budget(config, float(saved["seconds"]), int(saved["rays"]))
+        field, max_radiance = _empty_field(config, source), float(saved["max_radiance"])
+        refiner = Refiner(field, source, max_radiance, config.refine, config.split)
+        refiner.restore(saved)
+        # Not the field as it is: the bake would not have kept it here.
+        best = field.with_leaves(*(saved[f"best_{name}"] for name in LEAVES))
     held_out = HeldOut.trace(source, max_radiance, config.held_out)
-    # Of a bake that continues not the field as it is: the bake would not have kept it here.
-    first = refiner.field if best is None else best
-    descent = Descent(refiner, first, source, max_radiance, held_out, budget, config, state_file)
+    descent = Descent(refiner, best, source, max_radiance, held_out, budget, config, checkpoint)
     with deferred_interrupt() as interruption:
 
         def over() -> bool:
@@ -171,8 +174,8 @@ def _run(
         descent.save()
         descent.run(f"{verb} {name}", interruption)
         with progress(f"calibrate {name}", 2) as advance:
-            # The descent leaves small bright parts a few percent too bright. What the calibration
-            # cannot reach, as where the sigmoid saturates, the flux correction factor makes up for.
+            # The descent leaves small bright parts a few percent too bright. The flux
+            # correction factor makes up for the rest, as where the sigmoid saturates.
             stream = SeedStream(Purpose.CLOSING_CALIBRATION, refiner.step)
             if not interruption:
                 calibrate(descent.best, source, max_radiance, config.calibration, stream, over)

@@ -1,6 +1,6 @@
 """Settings of the octree fit: every number that was chosen by experience or by measurement.
 
-Each part of the bake takes its own group. The evidence is in docs/decisions: octree-fit.md,
+Each part of the bake takes one group. The evidence is in docs/decisions: octree-fit.md,
 calibration.md, and field.md for the headroom. A setting that is not there was chosen during
 development and not compared.
 The settings are part of the saved state of a bake: a state is only continued with equal ones.
@@ -182,7 +182,7 @@ class FluxConfig(_Settings):
     The noise of rays dominates, so that light paths may be few.
 
     Attributes:
-        draws: draws; together they estimate the factor to ±0.5 %, one alone to ±1.5 %.
+        draws: draws; together they estimate the factor to ±0.5 %, a single one to ±1.5 %.
         rays: rays of a draw.
         light_paths_per_ray: light paths traced for each ray.
     """
@@ -212,7 +212,7 @@ class RefineConfig(_Settings):
     Attributes:
         rays: rays drawn for a step; those that cross no leaf cost little.
         light_paths_per_ray: light paths traced for each ray.
-        opacity_rays_per_ray: further rays whose transmittance alone is used; one costs a third of a
+        opacity_rays_per_ray: further rays, for their transmittance only; one costs a third of a
             ray.
         epsilon: of the loss, in units of L_max. 0.002 of the 99.99th percentile of radiance.
         opacity_weight: of the squared error of the transmittance in the loss.
@@ -274,17 +274,12 @@ class ScheduleConfig(_Settings):
         last_split: share of the budget after which none are.
         closing_calibrations: time reserved for what follows the descent, in units of the time that
             the last calibration took.
-        save_seconds: least number of seconds between two saved states.
-        save_time_factor: least number of seconds between two saved states, in units of the time
-            that saving the last one took.
     """
 
     score_interval: float = _setting(0.04, _INTERVAL)
     split_interval: float = _setting(0.15, _INTERVAL)
     last_split: float = _setting(0.65, _SHARE)
     closing_calibrations: float = _setting(2.5, (0.0, 1e6))
-    save_seconds: float = _setting(10.0, (0.0, 1e6))
-    save_time_factor: float = _setting(50.0, (0.0, 1e6))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -13,6 +13,8 @@ Symbols
                 luminaire. Relative squared errors (Eq. 8) agree in another sum.
 """
 
+from __future__ import annotations
+
 import dataclasses
 import math
 import time
@@ -24,6 +26,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.core.checkpoint import Arrays, Checkpoint
 from lumitree.core.device import on_device
 from lumitree.core.interruption import Interruption
 from lumitree.core.progress import progress
@@ -45,7 +48,6 @@ from lumitree.fit.octree.leaf_field import (
     gradients,
 )
 from lumitree.fit.octree.rays import RaySource
-from lumitree.fit.octree.saved_state import StateFile
 from lumitree.octree.build import child_cells
 
 
@@ -78,26 +80,25 @@ class HeldOut:
     causes no bias, so that few paths suffice.
 
     Attributes:
-        origin, direction: mi.Point3f and mi.Vector3f, local frame.
-        first, second: mi.Color3f, a and b.
-        transmittance: mi.Float.
+        origin, direction: local frame.
+        first, second: a and b.
     """
 
-    origin: Any
-    direction: Any
-    first: Any
-    second: Any
-    transmittance: Any
+    origin: mi.Point3f
+    direction: mi.Vector3f
+    first: mi.Color3f
+    second: mi.Color3f
+    transmittance: mi.Float
 
     @staticmethod
-    def trace(source: RaySource, max_radiance: float, config: HeldOutConfig) -> "HeldOut":
+    def trace(source: RaySource, max_radiance: float, config: HeldOutConfig) -> HeldOut:
         """Rays that no step of a bake draws."""
         pairs = source.draw_pairs(config.rays, SeedStream(Purpose.HELD_OUT), config.paths)
         scale = 1 / max_radiance
         a, b = (dr.minimum(value * scale, 1) for value in (pairs.first, pairs.second))
         return HeldOut(pairs.origin, pairs.direction, a, b, pairs.transmittance)
 
-    def rescaled(self, factor: float) -> "HeldOut":
+    def rescaled(self, factor: float) -> HeldOut:
         """The same for an L_max `factor` times as large; clipped values stay clipped."""
         a, b = (dr.minimum(value * (1 / factor), 1) for value in (self.first, self.second))
         return dataclasses.replace(self, first=a, second=b)
@@ -177,9 +178,10 @@ class Refiner:
         dr.eval(d_depth)
         d_density += depth_gradient(field, *opacity_rays, d_depth=d_depth)
         decay = config.final_rate ** min(progress, 1.0)
+        opaque = math.log(OPAQUE_DEPTH / 2) + field.device_levels * math.log(2)
         field.log_density = dr.minimum(
             self._density_adam.descend(field.log_density, d_density, decay * config.density_rate),
-            self._log_opaque(),
+            opaque,
         )
         field.coefficients = self._coefficient_adam.descend(
             field.coefficients, d_coefficients, decay * config.coefficient_rate
@@ -195,10 +197,6 @@ class Refiner:
         # the one of tau is used instead.
         slope = through if self.field.law == "exponential" else 1
         return 2 * self._config.opacity_weight * (target - through) * slope
-
-    def _log_opaque(self) -> Any:
-        """Log density [M] at which each leaf is opaque."""
-        return math.log(OPAQUE_DEPTH / 2) + self.field.device_levels * math.log(2)
 
     def prune(self) -> None:
         """Drop the leaves whose opacity is negligible in every direction."""
@@ -263,7 +261,7 @@ class Refiner:
         self._density_adam.take(index)
         self._coefficient_adam.take(wide)
 
-    def state(self) -> dict[str, NDArray[Any]]:
+    def state(self) -> Arrays:
         """The field and the state of the optimiser as arrays, for `restore`."""
         field, density, coefficients = self.field, self._density_adam, self._coefficient_adam
         return field.arrays() | {
@@ -298,7 +296,7 @@ class Adam:
         """The values after one step."""
         self.steps += 1
         beta_1, beta_2 = self._decays
-        # Opaque, or every step would compile a kernel of its own.
+        # Opaque, or every step would compile another kernel.
         step = dr.opaque(mi.Float, rate / (1 - beta_1**self.steps))
         correction = dr.opaque(mi.Float, 1 / (1 - beta_2**self.steps))
         self.mean = beta_1 * self.mean + (1 - beta_1) * gradient
@@ -364,11 +362,11 @@ class Descent:
         held_out: HeldOut,
         budget: Budget,
         config: OctreeConfig,
-        state_file: StateFile,
+        checkpoint: Checkpoint,
     ) -> None:
         self._refiner, self._source, self._max_radiance = refiner, source, max_radiance
         self._held_out, self._budget, self._config = held_out, budget, config
-        self._state_file = state_file
+        self._checkpoint = checkpoint
         self.best, self.best_score = best.copy(), held_out.score(best)
 
     def run(self, name: str, interruption: Interruption) -> None:
@@ -379,7 +377,6 @@ class Descent:
         """
         schedule = self._config.schedule
         done = self._budget.progress
-        saved, saving = time.monotonic(), 0.0
         with progress(name, 1.0, done) as advance:
             while done < 1 and not interruption:
                 self._budget.rays += self._refiner.advance(done)
@@ -387,12 +384,7 @@ class Descent:
                 self._restructure(before, done)
                 if _passes(schedule.score_interval, before, done):
                     self.keep_better(self._refiner.field)
-                pause = max(schedule.save_seconds, schedule.save_time_factor * saving)
-                if time.monotonic() - saved >= pause:
-                    start = time.monotonic()
-                    self.save()
-                    saved = time.monotonic()
-                    saving = saved - start
+                self._checkpoint.offer(self.state)
                 advance(
                     done - before, f"{self.best_score}, {self._refiner.field.num_leaves} leaves"
                 )
@@ -409,13 +401,18 @@ class Descent:
 
     def save(self) -> None:
         """Save the state."""
-        self._state_file.save(
-            self._refiner.state(),
-            self.best,
-            self._budget.seconds,
-            self._budget.rays,
-            self._max_radiance,
-        )
+        self._checkpoint.try_save(self.state())
+
+    def state(self) -> Arrays:
+        """The refiner's state, the best field, and what was spent, as arrays."""
+        spent = {"seconds": self._budget.seconds, "rays": self._budget.rays}
+        numbers = {**spent, "max_radiance": self._max_radiance}
+        best = {f"best_{name}": value for name, value in self.best.arrays().items()}
+        return {
+            **self._refiner.state(),
+            **best,
+            **{name: np.array(value) for name, value in numbers.items()},
+        }
 
     def _restructure(self, before: float, done: float) -> None:
         """When it is time, drop and calibrate leaves, and split some of them by one level."""

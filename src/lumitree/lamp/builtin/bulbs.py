@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from lumitree.asset.geometry import Medium
 from lumitree.lamp.builtin.fittings import (
     BECKMANN,
     BLACK_STEEL,
@@ -22,7 +23,7 @@ from lumitree.lamp.builtin.fittings import (
     strut,
 )
 from lumitree.lamp.meshes import Floats, Mesh, join, lathe, moved, resample, smooth, sweep
-from lumitree.lamp.parts import Geometry, Glass, Material, Medium, Metal, Part, Principled
+from lumitree.lamp.parts import Geometry, Glass, Material, Metal, MetallicRoughness, Part
 
 _BULBS_COUNT = 5
 _ARM_RADIUS = 0.125  # from the lamp's axis to a bulb's, metres
@@ -197,7 +198,7 @@ _BULB_OUTSIDE = ((0, -0.128), (0.022, -0.128), (0.041, -0.108), (0.0405, -0.074)
 _ARC_BULB = HangingBulb(
     _BULB_OUTSIDE, Filament(4, cage=0.0165, spacing=0.0165, top=-0.056, bottom=-0.094)
 )
-_MARBLE = Material("marble", Principled((0.74, 0.72, 0.69), roughness=0.35))
+_MARBLE = Material("marble", MetallicRoughness((0.74, 0.72, 0.69), roughness=0.35))
 _BRUSHED_STEEL = Material("brushed_steel", Metal((1.0, 1.0, 1.0), 0.4, "Cr", BECKMANN))
 
 

@@ -27,7 +27,16 @@ from lumitree.lamp.meshes import (
     smooth,
     sweep,
 )
-from lumitree.lamp.parts import RGB, Diffuse, Glass, Material, Metal, Microfacets, Part, Principled
+from lumitree.lamp.parts import (
+    RGB,
+    Diffuse,
+    Glass,
+    Material,
+    Metal,
+    MetallicRoughness,
+    Microfacets,
+    Part,
+)
 
 
 def at(x: float = 0.0, y: float = 0.0, z: float = 0.0, *, turn: float = 0.0) -> Floats:
@@ -65,7 +74,8 @@ GLASS = Material("glass", Glass(ior=1.5))
 CRYSTAL = Material("crystal", Glass(ior=1.56))
 WAX = Material("wax", Diffuse((0.82, 0.76, 0.64)))
 OPAL_SHEET = Material(
-    "opal_sheet", Principled((0.93, 0.88, 0.78), roughness=0.6, diffuse_transmission=1.1, thin=True)
+    "opal_sheet",
+    MetallicRoughness((0.93, 0.88, 0.78), roughness=0.6, diffuse_transmission=1.1, thin=True),
 )
 # Gold with a darker tint: Mitsuba has no data for brass.
 BRASS = Material("brass", Metal((0.95, 0.86, 0.86), 0.45, "Au", BECKMANN))

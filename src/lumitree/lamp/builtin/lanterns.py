@@ -8,6 +8,7 @@ import itertools
 
 import numpy as np
 
+from lumitree.asset.geometry import Medium
 from lumitree.lamp.builtin.fittings import (
     BECKMANN,
     BRASS,
@@ -46,7 +47,7 @@ from lumitree.lamp.meshes import (
     sphere,
     sweep,
 )
-from lumitree.lamp.parts import Diffuse, Geometry, Glass, Material, Medium, Part
+from lumitree.lamp.parts import Diffuse, Geometry, Glass, Material, Part
 
 _SIDES = 6
 _CORNER = 0.19  # distance of the corners from the axis, metres

@@ -5,6 +5,7 @@ import re
 
 import numpy as np
 
+from lumitree.asset.geometry import Medium
 from lumitree.core.photometry import LUMENS_PER_WATT
 from lumitree.errors import shown
 from lumitree.lamp.importers.gltf_document import Document, Item, Notes
@@ -14,9 +15,8 @@ from lumitree.lamp.parts import (
     Diffuse,
     Glass,
     Material,
-    Medium,
+    MetallicRoughness,
     Names,
-    Principled,
     Surface,
     Texture,
     painted,
@@ -155,7 +155,7 @@ def read_surface(
     thin = (through or scattered > 0) and not solid
     if through or scattered > 0:
         base = _absorbed(layers, base, volume, thickness)
-    return _principled(layers, textures, base, transmission, scattered, thin)
+    return _metallic_roughness(layers, textures, base, transmission, scattered, thin)
 
 
 def _glass(layers: Layers, base: Base, volume: Volume, solid: bool, thickness: float) -> Glass:
@@ -173,13 +173,13 @@ def _glass(layers: Layers, base: Base, volume: Volume, solid: bool, thickness: f
     return Glass(ior, 0.0, (red, green, blue), thin=True)
 
 
-def _principled(
+def _metallic_roughness(
     layers: Layers, textures: Textures, base: Base, transmission: Map, scattered: float, thin: bool
-) -> Principled:
+) -> MetallicRoughness:
     roughness, anisotropy = _anisotropy(layers, base.roughness)
     clearcoat, clearcoat_roughness = _clearcoat(layers)
     ior, specular = _reflection(layers, transmits=not transmission.black())
-    return Principled(
+    return MetallicRoughness(
         textures.colour(base.colour),
         textures.value(base.metallic),
         textures.value(roughness),

@@ -53,7 +53,7 @@ from lumitree.lamp.parts import (
     Glass,
     Material,
     Metal,
-    Principled,
+    MetallicRoughness,
     Surface,
     Texture,
     Value,
@@ -291,7 +291,7 @@ class _Reader:
         diffuse, specular = self._rgb("Kd", _GREY), self._rgb("Ks", _BLACK)
         base = self._texture("map_Kd", "colour", _colour, encoded=True) or diffuse
         if any(key in self._values or f"map_{key}" in self._maps for key in _PHYSICAL):
-            return Principled(
+            return MetallicRoughness(
                 base,
                 metallic=self._value("Pm", 0.0),
                 roughness=self._value("Pr", 0.5),
@@ -306,7 +306,7 @@ class _Reader:
         if illum in _MIRROR_ILLUM and max(specular) >= max(diffuse) and max(specular) > 0:
             return Metal(specular, gloss)
         if illum not in (0, 1) and max(specular) > 0:
-            return Principled(base, roughness=gloss, ior=ior)
+            return MetallicRoughness(base, roughness=gloss, ior=ior)
         return Diffuse(base)
 
     def _glass(self, ior: float) -> Glass:

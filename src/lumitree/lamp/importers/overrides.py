@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
 
+from lumitree.asset.geometry import Medium
 from lumitree.asset.materials import CONDUCTORS
 from lumitree.core.arguments import UNITS
 from lumitree.core.frames import similarity
@@ -33,10 +34,9 @@ from lumitree.lamp.parts import (
     Geometry,
     Glass,
     Material,
-    Medium,
     Metal,
+    MetallicRoughness,
     Part,
-    Principled,
     Surface,
     Texture,
     Value,
@@ -246,17 +246,12 @@ def _in_metres(model: Geometry, overrides: Overrides) -> Geometry:
 
 
 def _rescaled(material: Material, scale: float) -> Material:
-    """The material in a model `scale` times as large: coefficients of media are per length."""
+    """The material in a model `scale` times as large."""
     glass = material.surface
     if not isinstance(glass, Glass) or glass.medium is None:
         return material
-
-    def divided(colour: RGB) -> RGB:
-        return (colour[0] / scale, colour[1] / scale, colour[2] / scale)
-
-    medium = glass.medium
-    medium = Medium(divided(medium.absorption), divided(medium.scattering), medium.anisotropy)
-    return dataclasses.replace(material, surface=dataclasses.replace(glass, medium=medium))
+    glass = dataclasses.replace(glass, medium=glass.medium.scaled(scale))
+    return dataclasses.replace(material, surface=glass)
 
 
 def _resurfaced(model: Geometry, material: Material, change: MaterialOverride) -> Material:
@@ -456,7 +451,7 @@ def _surface(read: _Glass | _Metal | _Diffuse | _Principled, name: str) -> tuple
         return Metal(_rgb(read.tint), read.roughness, read.conductor), False
     if isinstance(read, _Diffuse):
         return Diffuse(_rgb(read.reflectance)), False
-    return Principled(**{**vars(read), "base_color": _rgb(read.base_color)}), False
+    return MetallicRoughness(**{**vars(read), "base_color": _rgb(read.base_color)}), False
 
 
 def _glass(read: _Glass, name: str) -> tuple[Surface, bool]:

@@ -1,4 +1,4 @@
-"""Mixtures of the layers of an image."""
+"""Images as results: written to files, and mixed from their layers."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -7,17 +7,75 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.arguments import check_gain
+from lumitree.core.arguments import check_gain, check_sheet_output
 from lumitree.core.backend import in_turn
-from lumitree.core.files import FilePath
-from lumitree.core.images import encode_png, image_settings, read_comment, read_exr
-from lumitree.core.results import Stopwatch
-from lumitree.core.view_transform import View, check_view, displayed, room_exposure
-from lumitree.errors import LumitreeError, shown
-from lumitree.rendering.saved_image import SavedImage
+from lumitree.core.files import FilePath, write_bytes
+from lumitree.core.images import (
+    check_image_name,
+    encode_png,
+    image_settings,
+    read_comment,
+    read_exr,
+    write_exr,
+)
+from lumitree.core.photometry import luminance
+from lumitree.core.results import ImageResult, Stopwatch
+from lumitree.errors import LumitreeError, explained, shown
+from lumitree.rendering.view_transform import View, check_view, displayed, room_exposure
 
 # W/(m² sr); sums over the pixels of an image are then finite in single precision.
 _MAX_RADIANCE = 1e30
+
+
+@dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
+class SavedImage(ImageResult):
+    """Base class of results with an image that can be written to a file.
+
+    Attributes:
+        pixels: float32 [height, width, 3], linear radiance, W/(m² sr).
+        settings: what made the image, as JSON text; the comment of the files.
+        exposure: factor on the radiance before the view transform of `png`.
+    """
+
+    pixels: NDArray[np.float32] = dataclasses.field(repr=False)
+    settings: str = dataclasses.field(repr=False)
+    exposure: float
+
+    @explained
+    def save(self, path: FilePath) -> None:
+        """Write the image.
+
+        Args:
+            path: path of the file, `.exr` (linear radiance) or `.png` (`png`).
+
+        Raises:
+            LumitreeError: the name has another ending, or the file cannot be written.
+        """
+        check_image_name(path)
+        if Path(path).suffix.lower() == ".exr":
+            write_exr(path, {"RGB": self.pixels}, self.settings)
+        else:
+            write_bytes(path, self.png)
+
+    @property
+    def luminance(self) -> NDArray[np.float64]:
+        """Luminance [height, width], cd/m²."""
+        return luminance(self.pixels)
+
+    @explained
+    def save_luminance(self, path: FilePath) -> None:
+        """Write the luminance in false colours, with a legend in cd/m².
+
+        Args:
+            path: path of the file, `.png`.
+
+        Raises:
+            LumitreeError: the name has another ending, or the file cannot be written.
+        """
+        from lumitree.rendering.drawing import luminance_png
+
+        check_sheet_output(path, "luminance image")
+        write_bytes(path, luminance_png(self.luminance))
 
 
 @dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
@@ -27,8 +85,8 @@ class MixResult(SavedImage):
     Attributes:
         pixels: float32 [height, width, 3], linear radiance, W/(m² sr).
         settings: what made the image, as JSON text; the comment of the files.
-        exposure: factor on the radiance before the view transform of `png`; by default that of the
-            layers without gains.
+        exposure: factor on the radiance before the view transform of `png`; by default the
+            exposure of the layers without gains.
         layers: names of the layers.
         resolution: width and height in pixels.
         mean_radiance: mean over pixels and channels, W/(m² sr).
@@ -55,8 +113,8 @@ def mix(
         gain: by name of the layer, factors [3] on R, G and B of its light, or one number for all;
             0 to 10⁶. Default: 1.
         view: view transform of `png`, as for `render`.
-        exposure: factor on the radiance before it, 10⁻¹² to 10¹². Default: that of the layers
-            without gains.
+        exposure: factor on the radiance before it, 10⁻¹² to 10¹². Default: the exposure of the
+            layers without gains.
 
     Returns:
         The image as `pixels`, float32 [height, width, 3], linear radiance in W/(m² sr), and
@@ -81,7 +139,7 @@ def mix(
         # Other files have other channels too, such as AOVs.
         if not alike or (file is not None and "RGB" in colours):
             raise LumitreeError(
-                f"{what} is not made of layers alone; expected channels NAME.R, NAME.G and NAME.B "
+                f"{what} is not made of layers only; expected channels NAME.R, NAME.G and NAME.B "
                 "of each, as `lumitree render --layers` writes them"
             )
         for name in factors.keys() - colours.keys():
@@ -102,7 +160,7 @@ def mix(
                 "gains; render them again, or use smaller gains"
             )
     if exposure is None:
-        # That of the image as it was rendered, so that a lamp that is dimmed looks dimmed.
+        # The exposure of the image as it was rendered, so that a dimmed lamp looks dimmed.
         exposure = room_exposure(np.stack(list(colours.values())).sum(axis=0, dtype=np.float64))
     settings = image_settings(
         "mix", layers=file, gain=factors, view=view, exposure=exposure, rendered=rendered

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from lumitree.core import view_transform
 from lumitree.core.images import auto_exposure, tonemap
-from lumitree.core.view_transform import check_view, displayed, room_exposure
 from lumitree.errors import LumitreeError
+from lumitree.rendering import view_transform
+from lumitree.rendering.view_transform import check_view, displayed, room_exposure
 
 NEEDS_OPENCOLORIO = "the optional dependency filmic is not installed"
 

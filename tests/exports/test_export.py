@@ -1,18 +1,27 @@
-"""What all targets of `lumitree export` have in common."""
+"""What all targets of `lumitree export` have in common, units of length, and the extension."""
 
+import dataclasses
 import os
 import re
+import zipfile
 from importlib.util import find_spec
 
+import numpy as np
 import pytest
 
 import lumitree
+from lumitree.asset.geometry import Medium
 from lumitree.cli import main
 from lumitree.errors import LumitreeError
 from lumitree.exports.export import TARGETS, find_target
 from lumitree.exports.target import ExportRequest
+from lumitree.rendering.asset_flux import asset_lumens
 from support.exported_lamps import lamp
 from support.fields import random_asset
+from support.geometry_assets import small_geometry, with_geometry
+
+pytestmark = pytest.mark.usefixtures("mi")
+
 
 needs_usd = pytest.mark.skipif(
     find_spec("pxr") is None, reason="the optional dependency usd is not installed"
@@ -92,3 +101,48 @@ def request(name):
     return ExportRequest(
         asset=None, lights=1, up="y", seed=0, blender=None, importer="any", name=name
     )
+
+
+@pytest.fixture
+def scattering_lamp():
+    *others, sphere = small_geometry().shapes
+    inside, outside = Medium((2.0, 20.0, 70.0)), Medium((1.0, 2.0, 3.0), (4.0, 5.0, 6.0), 0.5)
+    sphere = dataclasses.replace(sphere, interior=inside, exterior=outside)
+    return with_geometry(small_geometry(shapes=(*others, sphere)))
+
+
+def test_a_factor_there_and_back_changes_nothing(scattering_lamp):
+    large = scattering_lamp.scaled(100)
+    assert large.frame.size == pytest.approx(100 * scattering_lamp.frame.size)
+    assert asset_lumens(large) == pytest.approx(1e4 * asset_lumens(scattering_lamp))
+    exterior = large.geometry.shapes[2].exterior
+    assert exterior.scattering == pytest.approx([0.04, 0.05, 0.06])
+    assert exterior.anisotropy == 0.5
+    again = large.scaled(0.01)
+    np.testing.assert_allclose(again.frame.world_from_local, scattering_lamp.frame.world_from_local)
+    np.testing.assert_allclose(
+        again.geometry.vertices, scattering_lamp.geometry.vertices, rtol=1e-6
+    )
+    assert again.geometry.shapes[2].interior.absorption == pytest.approx([2.0, 20, 70])
+
+
+def test_other_units_are_refused(tmp_path):
+    with pytest.raises(lumitree.LumitreeError, match="unit is 'yard'; expected m, cm"):
+        lumitree.export(lamp(), tmp_path / "lamp.rad", unit="yard")
+
+
+def test_the_command_writes_it_and_refuses_other_names(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["blender-extension", "-o", "x.zip"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == "Open: x.zip"
+    assert zipfile.ZipFile("x.zip").testzip() is None
+    assert main(["blender-extension", "-o", "x.tar"]) == 2
+    assert "does not end in .zip" in capsys.readouterr().err
+
+
+def test_the_result_has_its_size_and_version(tmp_path):
+    result = lumitree.blender_extension(tmp_path / "x.zip")
+    assert result.file_bytes == (tmp_path / "x.zip").stat().st_size
+    assert result.version == lumitree.__version__
+    with pytest.raises(LumitreeError, match=r"does not end in \.zip"):
+        lumitree.blender_extension(tmp_path / "extension")

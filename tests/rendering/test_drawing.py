@@ -8,7 +8,7 @@ import pytest
 from matplotlib.colors import LogNorm, Normalize
 from PIL import Image
 
-from lumitree.core.drawing import (
+from lumitree.rendering.drawing import (
     ColourScale,
     Tile,
     image_grid,
@@ -17,7 +17,7 @@ from lumitree.core.drawing import (
     text_page,
     write_strip,
 )
-from lumitree.core.view_transform import displayed
+from lumitree.rendering.view_transform import displayed
 from support.figures import texts, tile_pixels
 
 

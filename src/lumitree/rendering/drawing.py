@@ -21,7 +21,7 @@ from matplotlib.ticker import LogFormatter
 from numpy.typing import NDArray
 
 from lumitree.core.files import write_bytes
-from lumitree.core.view_transform import View, displayed
+from lumitree.rendering.view_transform import View, displayed
 
 _DPI = 100
 # Pixels: margin, gap between images, height of a colour bar with its numbers.
