@@ -90,7 +90,7 @@ class FieldRays:
 
 def truth_and_start(law, seed=3, l_max=1):
     """A field with radiance below 0.5, and one of the same leaves with other values."""
-    asset = random_asset(seed, tree_depth=3, l_max=l_max, law=law, max_radiance=1)
+    asset = random_asset(seed, tree_depth=3, l_max=l_max, law=law, max_radiance=1.0)
     random = np.random.default_rng(seed)
     coefficients = 0.5 * asset.coefficients.astype(float)
     coefficients[..., 0] -= 5

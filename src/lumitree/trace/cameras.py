@@ -39,7 +39,7 @@ def path_integrator(luminaire: Luminaire, path_depth: int, **options: Any) -> An
     """The mi.Integrator that traces this luminaire's paths.
 
     `path` where there are neither media, alpha masks nor null surfaces. Its next-event estimation
-    treats these as opaque: the light of a spot light in their shade would be found by chance only.
+    treats these as opaque: the light of a spot light in their shade would seldom be found.
     And it counts no light of rays that meet nothing else.
 
     `volpath` samples distances by one channel's extinction, so that in coloured media the weights

@@ -19,7 +19,7 @@ class LightFieldConfig:
 
     Attributes:
         paths: light paths, rounded up to whole batches, 1 to 2³²; 2²¹ take 2 to 7 s on 2 CPU
-            cores. More sharpen little: the error of irradiance is then mostly that of the
+            cores. More sharpen little: most of the error of irradiance then comes from the
             resolution.
         depth: the grid has 2**depth cells along the longest side of the box, 1 to 7. Cells blur
             the light of what is near: with 16 cells a side a plane that touches the box has an

@@ -1,6 +1,6 @@
 """Light paths: light traced from a luminaire's emitters until it leaves the luminaire.
 
-Camera paths find the image of a filament in a glass wall only by chance. Light paths, which start
+Camera paths seldom find the image of a filament in a glass wall. Light paths, which start
 at the filament, always find it. `LampRays` draws batches of them; an asset emits rays sampled from
 its emission (`lumitree.rendering.asset_flux`). Both implement `EmittedRays`, over which flux,
 irradiance, photometry and bakes sum.
@@ -177,7 +177,7 @@ def trace_light(
 ) -> LightPaths:
     """Trace `count` light paths; those that leave the luminaire are returned.
 
-    Light that leaves by smooth transmission alone is omitted by default: camera rays that are
+    Light that leaves by smooth transmission only is omitted by default: camera rays that are
     followed straight through find it without noise (`cameras.straight_through`).
 
     The factor for shading normals has no bound, and the flux of paths has a heavy tail: the number
@@ -187,7 +187,7 @@ def trace_light(
     Args:
         sampler: seeded for as many paths.
         path_depth: longest path, events.
-        all_light: also return paths that leave by smooth transmission alone.
+        all_light: also return paths that leave by smooth transmission only.
         ending: also return segments that end on the luminaire. The paths are the same with it.
         flux_limit: limit of the flux of a path over the flux with which it starts. Straight paths
             have none: only the choice of a channel in a medium makes them brighter, by up to 3. The

@@ -179,7 +179,7 @@ def test_run_folder_that_cannot_be_used_is_refused(dataset, tiny_run, tmp_path):
 
 
 def test_damaged_run_is_refused(tiny_run, tmp_path):
-    with pytest.raises(LumitreeError, match=r"holds no run\.npz"):
+    with pytest.raises(LumitreeError, match=r"has no run\.npz"):
         load_field(tmp_path)
     content = (tiny_run / "run.npz").read_bytes()
     (tmp_path / "run.npz").write_bytes(content[:-50])

@@ -89,7 +89,12 @@ def test_adjoint_is_the_derivative(mi, law, l_max, monkeypatch):
     density_scale = {"linear": 1.0, "exponential": 1.5}[law]
 
     asset = random_asset(
-        40 + l_max, tree_depth=2, l_max=l_max, law=law, density_scale=density_scale, max_radiance=1
+        40 + l_max,
+        tree_depth=2,
+        l_max=l_max,
+        law=law,
+        density_scale=density_scale,
+        max_radiance=1.0,
     )
     origins, directions = targeted_rays(l_max)
     random = np.random.default_rng(l_max)

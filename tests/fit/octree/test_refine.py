@@ -143,7 +143,7 @@ def test_splitting_changes_nothing_at_first(mi, law):
 
 def test_leaves_with_the_largest_error_are_split_first(mi):
     """Eight octants, of which one is wrong: the only split allowed is its."""
-    truth = leaf_field(uniform_asset(0.5, [0.2] * 3, law="exponential", max_radiance=1))
+    truth = leaf_field(uniform_asset(0.5, [0.2] * 3, law="exponential", max_radiance=1.0))
     coefficients = truth.coefficient_array()
     coefficients[5] += 3
     start = truth.with_leaves(truth.cells, truth.levels, truth.log_density, coefficients)
@@ -180,7 +180,7 @@ def test_pruning_drops_only_what_is_invisible(mi, law):
     density = np.where(random.random(64) < 0.5, 1e-4, random.uniform(0.1, 5, 64))
     coefficients = random.normal(size=(64, 3, 1))
     asset = make_asset(
-        cells, np.full(64, 2), density, coefficients, tree_depth=2, law=law, max_radiance=1
+        cells, np.full(64, 2), density, coefficients, tree_depth=2, law=law, max_radiance=1.0
     )
     field = leaf_field(asset)
     descent = refiner(mi, field, field)

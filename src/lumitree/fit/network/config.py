@@ -57,7 +57,7 @@ class TrainConfig:
         colour_loss: error of a colour, see `ColourLoss`. Others than "hdr" are for comparison.
         supervise_opacity: whether the loss has the term of the opacity (Eq. 9).
         emission_weights: weights of the emission along a ray; "literal" is for comparison, and
-            no asset can hold such a field.
+            no asset can store such a field.
 
     Raises:
         LumitreeError: a setting is out of range.

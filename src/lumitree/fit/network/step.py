@@ -37,7 +37,7 @@ def divided(mesh: Mesh, chunks: Tree) -> Tree:
 
 
 def on_all(mesh: Mesh) -> NamedSharding:
-    """The sharding of arrays that every device holds as a whole."""
+    """The sharding of arrays of which every device has a whole copy."""
     return NamedSharding(mesh, PartitionSpec())
 
 
@@ -50,7 +50,7 @@ def hdr_loss(
 ) -> jax.Array:
     """Relative squared error of HDR radiance (Eq. 8), the mean over rays.
 
-    As in the paper, the error is that of radiance / L_max, and the denominator is in radiance
+    As in the paper, the error is in radiance / L_max, and the denominator is in radiance
     units. If the error were in radiance units too, this term would be L_max² times larger, and the
     opacity loss would have no effect; see docs/decisions/network.md.
 
@@ -92,7 +92,7 @@ def total_loss(
 ) -> jax.Array:
     """L_c + L_f + L_opacity with equal weights (Eq. 7); L_opacity uses the fine network's opacity.
 
-    Without `config.supervise_opacity` L_opacity is left out.
+    Without `config.supervise_opacity` the loss has no L_opacity.
     """
     loss = colour_loss(coarse.radiance, radiance, max_radiance, config)
     loss += colour_loss(fine.radiance, radiance, max_radiance, config)

@@ -87,7 +87,7 @@ def load_run(folder: Path) -> Run:
     """
     path = folder / RUN
     if not path.exists():
-        raise LumitreeError(f"{folder} holds no {RUN}; expected a run made by 'lumitree train'")
+        raise LumitreeError(f"{folder} has no {RUN}; expected a run made by 'lumitree train'")
     members, arrays = read_checkpoint(path)
     try:
         members.pop("lumitree", None)
@@ -208,7 +208,7 @@ def _check_folder(folder: Path, resume: bool) -> None:
             f"{folder} is not empty; continue it with --resume or choose another output with -o"
         )
     if not (folder / RUN).exists():
-        raise LumitreeError(f"{folder} holds no {RUN}: nothing to resume")
+        raise LumitreeError(f"{folder} has no {RUN}: nothing to resume")
 
 
 class _Loop:

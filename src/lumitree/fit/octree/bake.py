@@ -65,7 +65,7 @@ def bake(
         seed: root seed of all random numbers.
 
     Raises:
-        LumitreeError: no light leaves the luminaire, or `folder` holds the state of another bake.
+        LumitreeError: no light leaves the luminaire, or `folder` has the state of another bake.
     """
     source = _traced_rays(luminaire, config, seed)
 
@@ -82,7 +82,7 @@ def bake_stored(
     """Bake the views of a dataset; otherwise as `bake`.
 
     Raises:
-        LumitreeError: the views are black, too few or have nothing in common, or `folder` holds the
+        LumitreeError: the views are black, too few or have nothing in common, or `folder` has the
             state of another bake.
     """
     source = StoredRays(dataset, config.views.held_out_stride, seed)
@@ -113,16 +113,16 @@ def refine(
             made with.
 
     Raises:
-        LumitreeError: the bounding boxes of asset and luminaire differ, or `folder` holds the state
+        LumitreeError: the bounding boxes of asset and luminaire differ, or `folder` has the state
             of another bake.
     """
-    own, other = asset.frame, luminaire.frame
-    moved = np.abs(own.world_from_local - other.world_from_local).max()
-    near = moved <= 1e-3 * min(own.scale, other.scale)
-    if not (near and np.allclose(own.half_extents, other.half_extents, atol=1e-3)):
+    first, second = asset.frame, luminaire.frame
+    moved = np.abs(first.world_from_local - second.world_from_local).max()
+    near = moved <= 1e-3 * min(first.scale, second.scale)
+    if not (near and np.allclose(first.half_extents, second.half_extents, atol=1e-3)):
         raise LumitreeError(
             f"the asset ({asset.luminaire}) and {luminaire.name} have different bounding boxes; "
-            "refine an asset with its own luminaire"
+            "refine an asset with the luminaire that it was baked from"
         )
     config = dataclasses.replace(
         config, tree_depth=asset.tree_depth, l_max=asset.l_max, law=asset.law
@@ -174,8 +174,8 @@ def _run(
         descent.save()
         descent.run(f"{verb} {name}", interruption)
         with progress(f"calibrate {name}", 2) as advance:
-            # The descent leaves small bright parts a few percent too bright. What the calibration
-            # cannot reach, as where the sigmoid saturates, the flux correction factor makes up for.
+            # The descent leaves small bright parts a few percent too bright. The flux
+            # correction factor makes up for the rest, as where the sigmoid saturates.
             stream = SeedStream(Purpose.CLOSING_CALIBRATION, refiner.step)
             if not interruption:
                 calibrate(descent.best, source, max_radiance, config.calibration, stream, over)

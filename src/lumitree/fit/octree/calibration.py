@@ -87,7 +87,7 @@ def _solve(
     Args:
         residual, matrix: r [C, 3, K] and M [C, 3, K, K] of all rays.
         difference: of r_0 between two halves of the rays [C, 3].
-        above: [C] for each level, index of the cell of that level that holds a cell.
+        above: [C] for each level, index of the cell of that level that contains a cell.
     """
     total = np.zeros_like(residual)
     for level in range(config.coarsest_level, config.finest_level + 1):
@@ -140,11 +140,11 @@ def _moments(
 
 
 def _cells(field: LeafField, level: int) -> NDArray[np.int64]:
-    """Index of each leaf's cell of `level`, or of its own level where that is coarser."""
-    own = np.minimum(field.levels, level)
-    x, y, z = (field.cells >> (field.levels - own)[:, None]).T
+    """Index of each leaf's cell of `level`, or of the leaf's level where that is coarser."""
+    at = np.minimum(field.levels, level)
+    x, y, z = (field.cells >> (field.levels - at)[:, None]).T
     # One number a cell: sorting rows takes twenty times as long.
-    return np.unique(((own << 16 | x) << 16 | y) << 16 | z, return_inverse=True)[1]
+    return np.unique(((at << 16 | x) << 16 | y) << 16 | z, return_inverse=True)[1]
 
 
 def _sum(values: NDArray[np.float64], index: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -1,6 +1,6 @@
 """Settings of the octree fit: every number that was chosen by experience or by measurement.
 
-Each part of the bake takes its own group. The evidence is in docs/decisions: octree-fit.md,
+Each part of the bake takes one group. The evidence is in docs/decisions: octree-fit.md,
 calibration.md, and field.md for the headroom. A setting that is not there was chosen during
 development and not compared.
 The settings are part of the saved state of a bake: a state is only continued with equal ones.
@@ -182,7 +182,7 @@ class FluxConfig(_Settings):
     The noise of rays dominates, so that light paths may be few.
 
     Attributes:
-        draws: draws; together they estimate the factor to ±0.5 %, one alone to ±1.5 %.
+        draws: draws; together they estimate the factor to ±0.5 %, a single one to ±1.5 %.
         rays: rays of a draw.
         light_paths_per_ray: light paths traced for each ray.
     """
@@ -212,7 +212,7 @@ class RefineConfig(_Settings):
     Attributes:
         rays: rays drawn for a step; those that cross no leaf cost little.
         light_paths_per_ray: light paths traced for each ray.
-        opacity_rays_per_ray: further rays whose transmittance alone is used; one costs a third of a
+        opacity_rays_per_ray: further rays, for their transmittance only; one costs a third of a
             ray.
         epsilon: of the loss, in units of L_max. 0.002 of the 99.99th percentile of radiance.
         opacity_weight: of the squared error of the transmittance in the loss.

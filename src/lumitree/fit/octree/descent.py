@@ -13,6 +13,8 @@ Symbols
                 luminaire. Relative squared errors (Eq. 8) agree in another sum.
 """
 
+from __future__ import annotations
+
 import dataclasses
 import math
 import time
@@ -78,26 +80,25 @@ class HeldOut:
     causes no bias, so that few paths suffice.
 
     Attributes:
-        origin, direction: mi.Point3f and mi.Vector3f, local frame.
-        first, second: mi.Color3f, a and b.
-        transmittance: mi.Float.
+        origin, direction: local frame.
+        first, second: a and b.
     """
 
-    origin: Any
-    direction: Any
-    first: Any
-    second: Any
-    transmittance: Any
+    origin: mi.Point3f
+    direction: mi.Vector3f
+    first: mi.Color3f
+    second: mi.Color3f
+    transmittance: mi.Float
 
     @staticmethod
-    def trace(source: RaySource, max_radiance: float, config: HeldOutConfig) -> "HeldOut":
+    def trace(source: RaySource, max_radiance: float, config: HeldOutConfig) -> HeldOut:
         """Rays that no step of a bake draws."""
         pairs = source.draw_pairs(config.rays, SeedStream(Purpose.HELD_OUT), config.paths)
         scale = 1 / max_radiance
         a, b = (dr.minimum(value * scale, 1) for value in (pairs.first, pairs.second))
         return HeldOut(pairs.origin, pairs.direction, a, b, pairs.transmittance)
 
-    def rescaled(self, factor: float) -> "HeldOut":
+    def rescaled(self, factor: float) -> HeldOut:
         """The same for an L_max `factor` times as large; clipped values stay clipped."""
         a, b = (dr.minimum(value * (1 / factor), 1) for value in (self.first, self.second))
         return dataclasses.replace(self, first=a, second=b)
@@ -177,9 +178,10 @@ class Refiner:
         dr.eval(d_depth)
         d_density += depth_gradient(field, *opacity_rays, d_depth=d_depth)
         decay = config.final_rate ** min(progress, 1.0)
+        opaque = math.log(OPAQUE_DEPTH / 2) + field.device_levels * math.log(2)
         field.log_density = dr.minimum(
             self._density_adam.descend(field.log_density, d_density, decay * config.density_rate),
-            self._log_opaque(),
+            opaque,
         )
         field.coefficients = self._coefficient_adam.descend(
             field.coefficients, d_coefficients, decay * config.coefficient_rate
@@ -195,10 +197,6 @@ class Refiner:
         # the one of tau is used instead.
         slope = through if self.field.law == "exponential" else 1
         return 2 * self._config.opacity_weight * (target - through) * slope
-
-    def _log_opaque(self) -> Any:
-        """Log density [M] at which each leaf is opaque."""
-        return math.log(OPAQUE_DEPTH / 2) + self.field.device_levels * math.log(2)
 
     def prune(self) -> None:
         """Drop the leaves whose opacity is negligible in every direction."""
@@ -298,7 +296,7 @@ class Adam:
         """The values after one step."""
         self.steps += 1
         beta_1, beta_2 = self._decays
-        # Opaque, or every step would compile a kernel of its own.
+        # Opaque, or every step would compile another kernel.
         step = dr.opaque(mi.Float, rate / (1 - beta_1**self.steps))
         correction = dr.opaque(mi.Float, 1 / (1 - beta_2**self.steps))
         self.mean = beta_1 * self.mean + (1 - beta_1) * gradient

@@ -34,7 +34,7 @@ from lumitree.trace.light_paths import LightPaths
 
 
 def grow(rays: TracedRays, level: int, config: EstimateConfig) -> NDArray[np.int64]:
-    """Cells [M, 3] of a level that may hold something: those in whose parents rays terminate.
+    """Cells [M, 3] of a level that may be occupied: rays terminate in their parents.
 
     Args:
         rays: where rays come from.

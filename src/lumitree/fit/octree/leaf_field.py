@@ -27,8 +27,8 @@ from lumitree.fit.octree.sums import ExactSum, total_of
 from lumitree.octree.build import build_children
 from lumitree.octree.traversal import Octree
 
-# Leaves of a smaller weight in a ray are left out of its radiance, and get no gradient for
-# their coefficients.
+# Leaves of a smaller weight in a ray add nothing to its radiance, and get no gradient for their
+# coefficients.
 MIN_WEIGHT = 1e-4
 # Optical depth across a leaf that a bake makes opaque: it transmits 5e-5, and a bake makes no leaf
 # denser.
@@ -162,9 +162,9 @@ class LeafField:
             other = dr.gather(mi.UInt32, neighbours, leaf) * quads + column
             total += dr.gather(mi.Vector4f, self.coefficients, other, there)
             count += dr.select(there, mi.Float(1), 0)
-        own = dr.gather(mi.Vector4f, self.coefficients, row)
+        before = dr.gather(mi.Vector4f, self.coefficients, row)
         strength = dr.select(count > 0, dr.opaque(mi.Float, share), 0)
-        self.coefficients = dr.ravel(own + strength * (total / dr.maximum(count, 1) - own))
+        self.coefficients = dr.ravel(before + strength * (total / dr.maximum(count, 1) - before))
         dr.eval(self.coefficients)
 
     def _padded(self, coefficients: Any) -> Any:
@@ -258,7 +258,7 @@ class LeafField:
 
 
 # Largest optical depth of a leaf in gradients, which bounds their sums. Leaves that a bake makes
-# stay below √3 times `OPAQUE_DEPTH`; those of assets made otherwise may be denser.
+# stay below √3 times `OPAQUE_DEPTH`; leaves of other assets may be denser.
 _MAX_DEPTH = 32.0
 
 
@@ -317,7 +317,7 @@ def gradients(
 
 
 def depth_gradient(field: LeafField, origin: Any, direction: Any, d_depth: Any) -> Any:
-    """The derivative by log density (mi.Float [M]) of a loss that depends on T alone."""
+    """The derivative by log density (mi.Float [M]) of a loss that depends on T only."""
     by_density = ExactSum(field.num_leaves, _MAX_DEPTH * total_of(dr.width(origin), d_depth))
 
     def shade(state, leaf, start, length, active):
@@ -356,7 +356,7 @@ def emission_moments(
     Args:
         light: mi.Color3f of each ray.
         share: mi.Float of each ray.
-        cell: mi.UInt32 [M], index of each leaf's cell; none is left out.
+        cell: mi.UInt32 [M], index of each leaf's cell, from 0 without gaps.
         harmonics: number of harmonics Y_k.
 
     Returns:

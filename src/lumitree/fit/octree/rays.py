@@ -4,8 +4,10 @@ Rays are uniform in dA cos(theta) domega, the measure in which flux is the integ
 The loss of a field is an integral over rays that has the radiance to be learned in first power
 only. So the radiance may come in two parts that are summed apart: a ray is followed through smooth
 transmission and finds the emitters there; all other light is brought by light paths, which end
-outside the luminaire on a ray of their own, with far less noise.
+outside the luminaire on other rays, with far less noise.
 """
+
+from __future__ import annotations
 
 import dataclasses
 import enum
@@ -47,31 +49,28 @@ class Rays:
     by the sum of f · light over the batch; the integral of f(ray) alone by the sum of f · share.
 
     Attributes:
-        origin, direction: mi.Point3f and mi.Vector3f, local frame, direction of travel.
-        share: mi.Float, the part of all wanted rays that this one stands for; 0 for a light path.
-        light: mi.Color3f, radiance times share; for a light path its flux over the measure.
-        transmittance: mi.Float, straight-through throughput; 0 for a light path.
+        origin, direction: local frame, direction of travel.
+        share: the part of all wanted rays that this one stands for; 0 for a light path.
+        light: radiance times share; for a light path its flux over the measure.
+        transmittance: straight-through throughput; 0 for a light path.
     """
 
-    origin: Any
-    direction: Any
-    share: Any
-    light: Any
-    transmittance: Any
+    origin: mi.Point3f
+    direction: mi.Vector3f
+    share: mi.Float
+    light: mi.Color3f
+    transmittance: mi.Float
 
 
 @dataclasses.dataclass
 class RayPairs:
-    """Rays with two independent noisy estimates of all their radiance (mi.Color3f).
+    """Rays as in `Rays`, with two independent noisy estimates of all their radiance."""
 
-    `transmittance` (mi.Float) is the straight-through throughput; the rest is as in `Rays`.
-    """
-
-    origin: Any
-    direction: Any
-    first: Any
-    second: Any
-    transmittance: Any
+    origin: mi.Point3f
+    direction: mi.Vector3f
+    first: mi.Color3f
+    second: mi.Color3f
+    transmittance: mi.Float
 
 
 @dataclasses.dataclass(frozen=True)
@@ -86,7 +85,7 @@ class Subject:
 class RaySource(Protocol):
     """Where a bake gets its rays from.
 
-    Rays depend on the source's own root seed and on the `SeedStream` argument, not on what was
+    Rays depend on the source's root seed and on the `SeedStream` argument, not on what was
     drawn before: so a bake that was interrupted continues with the same rays.
     """
 
@@ -136,7 +135,7 @@ class RayTiles:
     def measure(self) -> float:
         """Integral of dA cos(theta) domega over all rays that `draw` chooses from, local units² sr.
 
-        Of all rays through the enlarged box: pi times its surface.
+        All rays through the enlarged box have pi times its surface.
         """
         x, y, z = self._half
         return float(np.pi * 8 * (x * y + y * z + z * x))
@@ -192,7 +191,7 @@ def _lattice(count: int, seed: int) -> list[Any]:
     shift = np.random.default_rng(seed).integers(1 << 32, size=len(_LATTICE_STEPS))
     index = dr.arange(mi.UInt32, count)
     return [
-        # Wraps at 1, by its 32 bits; a Float holds 24 of them.
+        # Wraps at 1, by its 32 bits; a Float has 24 of them.
         mi.Float((index * mi.UInt32(step) + dr.opaque(mi.UInt32, int(first))) >> 8) * 2**-24
         for step, first in zip(_LATTICE_STEPS, shift, strict=True)
     ]
@@ -213,20 +212,20 @@ class TerminatedRays:
 
     Attributes:
         origin, direction: the ray, local frame.
-        point: mi.Point3f, local frame; without meaning where `terminated` (mi.Bool) is false.
-        radiance: mi.Color3f, of the emitters seen through smooth transmission.
+        point: local frame; without meaning where `terminated` is false.
+        radiance: of the emitters seen through smooth transmission.
     """
 
-    origin: Any
-    direction: Any
-    point: Any
-    terminated: Any
-    radiance: Any
+    origin: mi.Point3f
+    direction: mi.Vector3f
+    point: mi.Point3f
+    terminated: mi.Bool
+    radiance: mi.Color3f
 
 
 @dr.syntax
 def trace_to_termination(scene, sampler, ray):
-    """Follow rays by transmissions alone, each chosen at random, until they terminate or leave.
+    """Follow rays by transmissions only, each chosen at random, until they terminate or leave.
 
     Returns:
         Termination point (mi.Point3f, frame of the scene), whether there is one (mi.Bool), and
@@ -287,7 +286,7 @@ def trace_to_termination(scene, sampler, ray):
 
 
 class _Part(enum.IntEnum):
-    """Parts of a draw of `TracedRays` that have random numbers of their own."""
+    """Parts of a draw of `TracedRays` with independent random numbers."""
 
     TILES = 0
     JITTER = 1
@@ -327,11 +326,7 @@ class TracedRays:
     def draw(
         self, count: int, stream: SeedStream, wanted: Wanted, light_paths_per_ray: float
     ) -> Rays:
-        """The wanted ones of `count` random rays, and light paths.
-
-        Args:
-            light_paths_per_ray: light paths traced for each of the `count` rays.
-        """
+        """As `RaySource.draw`."""
         origin, direction = self._wanted_rays(count, stream, wanted)
         num_rays = dr.width(origin)
         if not num_rays:
@@ -354,14 +349,14 @@ class TracedRays:
         return rays
 
     def draw_opacity(self, count: int, stream: SeedStream, wanted: Wanted) -> tuple[Any, Any, Any]:
-        """Origin, direction and transmittance of the wanted ones of `count` random rays."""
+        """As `RaySource.draw_opacity`."""
         rays = self._wanted_rays(count, stream, wanted)
         if not dr.width(rays[0]):
             return *rays, mi.Float()
         return *rays, self._follow_smooth(*rays, stream)[0]
 
     def draw_pairs(self, count: int, stream: SeedStream, paths: int) -> RayPairs:
-        """`count` random rays, and two independent means of `paths` camera paths for each."""
+        """As `RaySource.draw_pairs`."""
         origin, direction = self.random_rays(count, stream)
         first, through = self.trace(origin, direction, stream, paths)
         second = self._trace(origin, direction, stream.seed(self._seed, _Part.SECOND_PATHS), paths)
@@ -399,7 +394,7 @@ class TracedRays:
 
         If that is 0, the radiance of the brightest pixel: all light is from a small part.
 
-        The rays of a tile average to a pixel; views also hold pixels beside the box, which rays do
+        The rays of a tile average to a pixel; views also have pixels beside the box, which rays do
         not visit.
 
         Args:
@@ -438,7 +433,7 @@ class TracedRays:
         return radiance
 
     def _follow_smooth(self, origin: Any, direction: Any, stream: SeedStream) -> tuple[Any, Any]:
-        """Transmittance of rays, and radiance seen through smooth transmission alone."""
+        """Transmittance of rays, and radiance seen through smooth transmission only."""
         self._sampler.seed(stream.seed(self._seed, _Part.STRAIGHT_THROUGH), dr.width(origin))
         ray = self._world_ray(origin, direction)
         found = straight_through(self.luminaire.scene, self._sampler, ray, PATH_DEPTH)

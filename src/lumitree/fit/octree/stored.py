@@ -1,5 +1,7 @@
 """Rays of stored views, for a luminaire that cannot be traced: `RaySource` from a dataset."""
 
+from __future__ import annotations
+
 import dataclasses
 import hashlib
 import json
@@ -60,7 +62,7 @@ class StoredRays:
     ) -> Rays:
         """The wanted ones of rays through `count` random pixels of the training views.
 
-        They hold all the light; `light_paths_per_ray` is ignored.
+        They bring all the light; `light_paths_per_ray` is ignored.
         """
         origin, direction, radiance, through = self._pixels(self._training, count, stream)
         chosen = dr.compress(wanted(origin, direction))
@@ -98,7 +100,7 @@ class StoredRays:
         cells = np.argwhere(visual_hull(masks, manifest.half_width, (1, 1, 1), 1 << level))
         return cells[inside_box(cells, level, manifest.local_frame.half_extents)]
 
-    def _load(self, views: list[View]) -> "_Images":
+    def _load(self, views: list[View]) -> _Images:
         manifest = self._manifest
         corners, columns, rows, directions = [], [], [], []
         for view in views:
@@ -128,7 +130,7 @@ class StoredRays:
         dr.eval(corner, column, row, towards, images.radiance, images.through)
         return images
 
-    def _pixels(self, images: "_Images", count: int, stream: SeedStream):
+    def _pixels(self, images: _Images, count: int, stream: SeedStream):
         """Origin, direction, radiance and transmittance of rays through random pixels."""
         resolution, tiles = self._manifest.resolution, count // TILE_RAYS
         self._sampler.seed(stream.seed(self._seed, 0), tiles)

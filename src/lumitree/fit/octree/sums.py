@@ -15,7 +15,7 @@ from lumitree.errors import LumitreeError
 
 # Sums stay below 2^62: bounds are themselves rounded.
 _BITS = 62
-# Largest power of two of a scale; single precision holds 2^127.
+# Largest power of two of a scale; the limit of single precision is 2^127.
 _MAX_EXPONENT = 126
 
 
@@ -33,7 +33,7 @@ class ExactSum:
             )
         exponent = _BITS - math.frexp(bound)[1] if bound > 0 else 0
         self._scale = math.ldexp(1, min(exponent, _MAX_EXPONENT))
-        # Opaque, or every other scale would compile kernels of its own.
+        # Opaque, or every other scale would compile other kernels.
         self._multiplier = dr.opaque(mi.Float, self._scale)
         self._total = dr.zeros(mi.Int64, size)
 
