@@ -24,7 +24,6 @@ def with_field_light(asset: Asset) -> Asset:
     load_mitsuba()
     from lumitree.core.octahedral import intensity_of_histogram
     from lumitree.rendering.asset_flux import AssetRays
-    from lumitree.rendering.asset_rays import AssetRays
     from lumitree.trace.histograms import Histogram
     from lumitree.trace.light_paths import as_rows
 
