@@ -121,7 +121,7 @@ def run_out_of_disk(*_, **__):
     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
-UNFINISHED = [f"out/lamp.work/{name}" for name in (MARKER, "light.lumitree", "state.npz")]
+UNFINISHED = [f"out/lamp.work/{name}" for name in (MARKER, "light.npz", "octree.npz")]
 # Of a light field that could not be saved.
 UNSAVED = [UNFINISHED[0], UNFINISHED[2]]
 
@@ -169,7 +169,7 @@ def test_a_full_work_disk_is_warned_of_once_and_the_bake_goes_on(
     assert err.count("No space left on device") == 1
     assert "the bake goes on" in err
     assert len(steps) > 5
-    kept = [f"full/{MARKER}", "full/light.lumitree"] if command is BAKE else []
+    kept = [f"full/{MARKER}", "full/light.npz"] if command is BAKE else []
     assert left() == [*kept, "out/lamp.lumitree"]
 
 
@@ -215,4 +215,4 @@ def test_results_that_cannot_be_printed_are_an_error(monkeypatch, capfd):
 @pytest.mark.slow
 def test_a_named_work_folder_stays(tiny, steps, capsys):
     assert main([*BAKE, *work(BAKE, "w")]) == 0
-    assert left() == ["out/lamp.lumitree", f"w/{MARKER}", "w/light.lumitree", "w/state.npz"]
+    assert left() == ["out/lamp.lumitree", f"w/{MARKER}", "w/light.npz", "w/octree.npz"]
