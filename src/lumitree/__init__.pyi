@@ -86,8 +86,8 @@ from .measure.receivers import AreaFigures as AreaFigures
 from .measure.receivers import Plane as Plane
 from .measure.receivers import Surface as Surface
 from .rendering.asset_cache import load as load
-from .rendering.mixture import MixResult as MixResult
-from .rendering.mixture import mix as mix
+from .rendering.image import MixResult as MixResult
+from .rendering.image import mix as mix
 from .rendering.placement import Placement as Placement
 from .rendering.placement import read_placements as read_placements
 from .rendering.register import register as register

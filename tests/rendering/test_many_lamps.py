@@ -208,12 +208,12 @@ def test_explicit_lamps_may_overlap_each_other_only(mi, asset, tmp_path):
 
 
 def test_objects_in_boxes_are_found_for_each_box(mi):
-    from lumitree.rendering.placement_checks import holds_objects
+    from lumitree.rendering.placement_checks import contains_objects
 
     ball = {"type": "sphere", "center": [5, 0, 0], "radius": 0.3}
     scene = mi.load_dict({"type": "scene", "ball": ball})
     boxes = np.array([similarity(np.eye(3), 0.5, [x, 0, 0]) for x in np.arange(0, 301, 0.5)])
-    assert np.flatnonzero(holds_objects(scene.shapes(), boxes)).tolist() == [9, 10, 11]
+    assert np.flatnonzero(contains_objects(scene.shapes(), boxes)).tolist() == [9, 10, 11]
 
 
 @pytest.mark.parametrize(("lamp", "parallel"), [("lumitree_proxy", False), ("sphere", True)])

@@ -14,12 +14,14 @@ Unlike by Mitsuba's rays, triangles are intersected in double precision, and no 
 because it is close to another one.
 """
 
+from __future__ import annotations
+
 import dataclasses
 import importlib
 import itertools
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +33,9 @@ from lumitree.core.mitsuba_meshes import is_flipped, mesh_arrays
 from lumitree.errors import LumitreeWarning
 from lumitree.lamp.luminaire import Luminaire
 from lumitree.lamp.meshes import Floats
+
+if TYPE_CHECKING:
+    import mitsuba as mi
 
 Indices = NDArray[np.int64]
 
@@ -77,12 +82,12 @@ class Crossings:
         """[N] +1 where the line enters the glass, -1 where it leaves it."""
         return np.where((self.normal * self.direction).sum(axis=1) < 0, 1, -1)
 
-    def take(self, index: NDArray) -> "Crossings":
+    def take(self, index: NDArray) -> Crossings:
         """The crossings at `index`, which may be a mask."""
         return Crossings(*(value[index] for value in vars(self).values()))
 
 
-def trace_lines(shapes: Sequence[Any]) -> Crossings:
+def trace_lines(shapes: Sequence[mi.Shape]) -> Crossings:
     """Crossings with the surfaces of refracting shapes, along three directions that are no axes."""
     meshes = {i: _triangles(shape) for i, shape in enumerate(shapes) if shape.is_mesh()}
     sides = [_denser_side(shape) for shape in shapes]
@@ -113,7 +118,7 @@ def trace_lines(shapes: Sequence[Any]) -> Crossings:
     return together.take(np.lexsort((together.distance, together.line)))
 
 
-def _denser_side(shape: Any) -> int:
+def _denser_side(shape: mi.Shape) -> int:
     """+1 if the normal points out of the denser medium, else -1."""
     # Only what is needed is read: Mitsuba cannot return some parameters of other plugins.
     parameters = load_mitsuba().traverse(shape.bsdf())
@@ -122,7 +127,7 @@ def _denser_side(shape: Any) -> int:
     return -1 if eta and eta[0] < 1 else 1
 
 
-def _triangles(shape: Any) -> tuple[Floats, Floats]:
+def _triangles(shape: mi.Shape) -> tuple[Floats, Floats]:
     """Corners [F, 3, 3] of a mi.Mesh in double precision, and unit normals [F, 3] of its faces.
 
     The normals are on the same side as Mitsuba's shading normals.
@@ -158,7 +163,7 @@ class _Grid:
     start: float
 
     @staticmethod
-    def over(number: int, frame: Floats, points: Floats, meshes: Iterable[Floats]) -> "_Grid":
+    def over(number: int, frame: Floats, points: Floats, meshes: Iterable[Floats]) -> _Grid:
         """Grid that covers points [N, 3]; points and triangles are in coordinates of `frame`."""
         low, extent = points.min(axis=0), np.ptp(points, axis=0)
         area = sum(float(np.ptp(corners[..., :2], axis=1).prod(axis=1).sum()) for corners in meshes)
@@ -200,7 +205,7 @@ class _Grid:
         distance /= weights.sum(axis=0)[inside]
         return (column + self.count[0] * row)[inside], distance, face[inside]
 
-    def cross_shape(self, shape: Any) -> Iterator[tuple[Indices, Floats, Floats]]:
+    def cross_shape(self, shape: mi.Shape) -> Iterator[tuple[Indices, Floats, Floats]]:
         """Line [N], distance [N] and normal [N, 3] of crossings with a shape that is not a mesh."""
         mi, dr = load_mitsuba(), importlib.import_module("drjit")
         line = np.arange(self.count[0] * self.count[1])
@@ -243,7 +248,7 @@ def warn_of_faults(luminaire: Luminaire) -> list[str]:
     return faults
 
 
-def diagnose(scene: Any) -> list[str]:
+def diagnose(scene: mi.Scene) -> list[str]:
     """Faults of a scene's glass.
 
     A fault that is smaller than the spacing of the lines (1/256 of the extent of the glass) may be
@@ -288,7 +293,7 @@ def diagnose(scene: Any) -> list[str]:
     return messages
 
 
-def _is_dielectric(shape: Any) -> bool:
+def _is_dielectric(shape: mi.Shape) -> bool:
     """Whether the surface refracts: Mitsuba sets NonSymmetric where refraction scales radiance."""
     flags = load_mitsuba().BSDFFlags
     kind = shape.bsdf().flags()

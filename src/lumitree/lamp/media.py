@@ -1,7 +1,9 @@
 """Participating media of a scene."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +13,9 @@ from lumitree.core.backend import load_mitsuba
 from lumitree.core.photometry import RGB
 from lumitree.errors import LumitreeError
 
+if TYPE_CHECKING:
+    import mitsuba as mi
+
 # Smallest extinction of a channel of a medium, relative to its largest one.
 _CLEAR = 1e-5
 # Where spectra are looked at, nm.
@@ -18,34 +23,34 @@ _WAVELENGTHS = (450.0, 520.0, 580.0, 630.0)
 _EXTINCTION = "sigma_t.value.value"
 
 
-def media(scene: Any) -> list[Any]:
+def media(scene: mi.Scene) -> list[mi.Medium]:
     """Every mi.Medium inside or around a shape of a mi.Scene, or around a camera of it."""
     found = [sensor.get_medium() for sensor in scene.sensors()]
     return [medium for medium in found if medium is not None] + media_of(scene.shapes())
 
 
-def media_of(shapes: Iterable[Any]) -> list[Any]:
+def media_of(shapes: Iterable[mi.Shape]) -> list[mi.Medium]:
     """Every mi.Medium inside or around one of some shapes."""
     sides = [(s.interior_medium(), s.exterior_medium()) for s in shapes if s.is_medium_transition()]
     return [medium for pair in sides for medium in pair if medium is not None]
 
 
-def any_scatters(scene: Any) -> bool:
+def any_scatters(scene: mi.Scene) -> bool:
     """Whether some medium of a mi.Scene does more than to absorb light evenly."""
     return any(map(scatters, media(scene)))
 
 
-def scatters(medium: Any) -> bool:
+def scatters(medium: mi.Medium) -> bool:
     """Whether a mi.Medium does more than to absorb light evenly."""
     return absorption(medium) is None
 
 
-def any_heterogeneous(scene: Any) -> bool:
+def any_heterogeneous(scene: mi.Scene) -> bool:
     """Whether some medium of a mi.Scene is not the same everywhere."""
     return not all(medium.is_homogeneous() for medium in media(scene))
 
 
-def absorption(medium: Any) -> list[float] | None:
+def absorption(medium: mi.Medium) -> list[float] | None:
     """Absorption [3] of a mi.Medium per unit of length; None if it does more than to absorb."""
     if not medium.is_homogeneous():
         return None
@@ -53,7 +58,7 @@ def absorption(medium: Any) -> list[float] | None:
     return None if np.ravel(scattering).any() else np.ravel(extinction).tolist()
 
 
-def stored_medium(medium: Any) -> Medium:
+def stored_medium(medium: mi.Medium) -> Medium:
     """A homogeneous mi.Medium as the geometry of an asset has it."""
     found = [np.ravel(np.array(each, np.float64)) for each in _coefficients(medium)]
     scattering, extinction = found[0], found[2]
@@ -82,12 +87,12 @@ def _anisotropy(phase: Any) -> float:
     return value
 
 
-def is_coloured(medium: Any) -> bool:
+def is_coloured(medium: mi.Medium) -> bool:
     """Whether a homogeneous mi.Medium takes more of one channel than of another."""
     return bool(np.ptp(np.ravel(_coefficients(medium)[2])) > 0)
 
 
-def keep_clear_channels(scene: Any) -> None:
+def keep_clear_channels(scene: mi.Scene) -> None:
     """Increase extinctions of 0.
 
     With an extinction of 0, `volpath` divides 0 by 0, and `volpathmis` loses scattered light.
@@ -107,7 +112,7 @@ def keep_clear_channels(scene: Any) -> None:
                 parameters.update()
 
 
-def _coefficients(medium: Any) -> tuple[Any, Any, Any]:
+def _coefficients(medium: mi.Medium) -> tuple[Any, Any, Any]:
     """Scattering, null and total extinction of a homogeneous medium, at any point."""
     mi = load_mitsuba()
     # Not at the top: Dr.Jit looks for its library when it is imported.

@@ -96,6 +96,14 @@ def area_normals(positions: Floats, faces: NDArray[np.int64]) -> Floats:
     return np.cross(b - a, c - a)
 
 
+def summed_at_vertices(positions: Floats, faces: NDArray[np.int64]) -> Floats:
+    """Sum [V, 3] of the area normals of the faces around each vertex."""
+    around, normals = np.zeros_like(positions), area_normals(positions, faces)
+    for corner in range(3):
+        np.add.at(around, faces[:, corner], normals)
+    return around
+
+
 def areas_on_image(uv: NDArray[np.floating], faces: NDArray[np.integer]) -> Floats:
     """Twice the areas [F] of faces [F, 3] on an image, by uv [V, 2]; positive where mirrored."""
     (x, y), (z, w) = (uv[faces[:, i]].T - uv[faces[:, 0]].T for i in (1, 2))

@@ -1,12 +1,14 @@
 """Reading of Mitsuba scene files and of dictionaries that describe scenes."""
 
+from __future__ import annotations
+
 import contextlib
 import copy
 import importlib
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +25,11 @@ from lumitree.lamp.parts import select_names
 from lumitree.lamp.scene_shapes import CHOSEN_BY, SceneShape, referred, shape_of_node
 from lumitree.lamp.spectra import replace_blackbodies, spectra_of_emitters
 
+if TYPE_CHECKING:
+    import mitsuba as mi
 
-def copy_instances(state: Any) -> frozenset[int]:
+
+def copy_instances(state: mi.parser.ParserState) -> frozenset[int]:
     """Replace the instances of a parsed scene by copies, which are placed in double precision.
 
     `state` is mi.parser.ParserState, after `transform_all`. Returns numbers of the nodes that are
@@ -62,7 +67,7 @@ def copy_instances(state: Any) -> frozenset[int]:
     return frozenset(mirrored)
 
 
-def matrix_of(props: Any) -> NDArray[np.float64]:
+def matrix_of(props: mi.Properties) -> NDArray[np.float64]:
     """[4, 4] of the transform of a shape; Mitsuba refuses properties of other types."""
     return np.array(getattr(props.get("to_world", None), "matrix", np.eye(4)), np.float64)
 
@@ -193,11 +198,11 @@ class SceneFile:
         """Nodes of one type of Mitsuba object, such as "Shape" or "Emitter"."""
         return [node for node in self._used() if self._is_a(node, kind)]
 
-    def children(self, props: Any) -> dict[str, Any]:
+    def children(self, props: mi.Properties) -> dict[str, Any]:
         """Nodes that a node's properties refer to, by the names of the properties."""
         return {name: self._state.nodes[index] for name, index in referred(props).items()}
 
-    def within(self, props: Any, *kinds: str) -> list[Any]:
+    def within(self, props: mi.Properties, *kinds: str) -> list[Any]:
         """Nodes of some types that a node refers to, and all within these, each once."""
         nodes = self._state.nodes
         start = {
@@ -226,7 +231,7 @@ class SceneFile:
                         del film.props[name]
                 film.props["rfilter"] = box
 
-    def moved(self, matrix: NDArray[np.float64]) -> "SceneFile":
+    def moved(self, matrix: NDArray[np.float64]) -> SceneFile:
         """The scene with all shapes moved by a similarity transform [4, 4], in double precision."""
         transform, found = load_mitsuba().ScalarTransform4d, self._copy()
         for props in found._placed_shapes():
@@ -234,7 +239,7 @@ class SceneFile:
             props["to_world"] = transform(matrix @ matrix_of(props))
         return found
 
-    def without_instances(self) -> "SceneFile":
+    def without_instances(self) -> SceneFile:
         """The scene with copies of the shapes of groups in place of their instances."""
         found = self._copy()
         found._mirrored = copy_instances(found._state)
@@ -246,12 +251,12 @@ class SceneFile:
         shapes = [each for each in numbers if self._is_a(self._state.nodes[each], "Shape")]
         return [each in self._mirrored for each in shapes]
 
-    def _copy(self) -> "SceneFile":
+    def _copy(self) -> SceneFile:
         found = copy.copy(self)
         found._state = load_mitsuba().parser.ParserState(self._state)
         return found
 
-    def recentred(self, origin: NDArray[np.float64]) -> "SceneFile":
+    def recentred(self, origin: NDArray[np.float64]) -> SceneFile:
         """The scene whose coordinates have their origin at [3] `origin`, in double precision.
 
         The points by which spheres and cylinders are placed become a part of their transform.
@@ -292,7 +297,7 @@ class SceneFile:
         box = np.array(corners)
         return np.stack([np.fmin.reduce(box[:, 0]), np.fmax.reduce(box[:, 1])])
 
-    def _placed_shapes(self) -> list[Any]:
+    def _placed_shapes(self) -> list[mi.Properties]:
         """Properties of the shapes whose transform is the scene's own.
 
         Shapes of a group are placed by its instances.
@@ -340,7 +345,7 @@ class SceneFile:
         # Mitsuba takes no other values for files, such as a spectrum of this name.
         return sorted({self.resolve(name) for name in names if isinstance(name, str)})
 
-    def instantiate(self) -> Any:
+    def instantiate(self) -> mi.Scene:
         """Create the scene; the parsed file stays as it is.
 
         Raises:
@@ -394,7 +399,9 @@ class SceneFile:
         return self._is_a(node, "Shape") and node.props.plugin_name() == "shapegroup"
 
 
-def _numbers(props: Any, names: Sequence[str], default: NDArray[np.float64]) -> NDArray[np.float64]:
+def _numbers(
+    props: mi.Properties, names: Sequence[str], default: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """The first of some properties that there is, if it has the shape of `default`."""
     found = next((props[name] for name in names if name in props), default)
     try:

@@ -5,14 +5,19 @@ texture, or a curve that emits. `check_evaluates` finds Mitsuba's exceptions. No
 the functions of the plugins run, and their results are dropped.
 """
 
+from __future__ import annotations
+
 import dataclasses
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.mitsuba_meshes import NORMALS, VERTICES
 from lumitree.errors import LumitreeError, LumitreeWarning, renderer_reason, shown
+
+if TYPE_CHECKING:
+    import mitsuba as mi
 
 # Keys that Mitsuba gives to elements without a name begin so.
 _UNNAMED = "_arg_"
@@ -96,7 +101,7 @@ def shape_of_node(number: int, key: str, node: Any, file: Any) -> SceneShape:
     )
 
 
-def shape_of_object(number: int, shape: Any) -> SceneShape:
+def shape_of_object(number: int, shape: mi.Shape) -> SceneShape:
     """The shape of a mi.Shape."""
     bsdf, emitter = shape.bsdf(), shape.emitter()
     return SceneShape(
@@ -109,19 +114,19 @@ def shape_of_object(number: int, shape: Any) -> SceneShape:
     )
 
 
-def reusable_shapes(scene: Any) -> list[Any]:
+def reusable_shapes(scene: mi.Scene) -> list[mi.Shape]:
     """The shapes of a mi.Scene, for another one: also the groups that its instances repeat."""
     groups = shape_groups(scene)
     build_again(groups)
     return [*groups, *scene.shapes()]
 
 
-def shape_groups(scene: Any) -> list[Any]:
+def shape_groups(scene: mi.Scene) -> list[mi.Shape]:
     """The groups of shapes that the instances of a mi.Scene repeat."""
     return [child for child in _children(scene) if child.class_name() == _GROUP]
 
 
-def build_again(groups: Sequence[Any]) -> None:
+def build_again(groups: Sequence[mi.Shape]) -> None:
     """Let the next scene that is made of groups of shapes build them, although another one has.
 
     Under OptiX, Mitsuba 3.9 builds a group in the scene that first has it, and again only when its
@@ -133,7 +138,7 @@ def build_again(groups: Sequence[Any]) -> None:
         group.parameters_changed([])
 
 
-def _children(parent: Any) -> list[Any]:
+def _children(parent: mi.Object) -> list[Any]:
     mi = load_mitsuba()
     children = []
 
@@ -150,7 +155,7 @@ def _children(parent: Any) -> list[Any]:
     return found
 
 
-def shapes_of_scene(scene: Any, shapes: Sequence[SceneShape]) -> Sequence[SceneShape]:
+def shapes_of_scene(scene: mi.Scene, shapes: Sequence[SceneShape]) -> Sequence[SceneShape]:
     """The shapes of a mi.Scene, taken from its file where they are the same."""
     made = scene.shapes()
     if len(made) == len(shapes):
@@ -169,7 +174,7 @@ def _described(file: Any, node: Any) -> str:
 
 
 def check_evaluates(
-    scene: Any, shapes: Sequence[SceneShape], where: str, *, rays: bool = True
+    scene: mi.Scene, shapes: Sequence[SceneShape], where: str, *, rays: bool = True
 ) -> None:
     """Refuse a scene with a BSDF or an emitter that Mitsuba cannot evaluate to numbers.
 
@@ -225,7 +230,7 @@ def _try(calls: Iterator[Callable[[], Any]], what: str) -> None:
             ) from error
 
 
-def _bsdf_calls(bsdf: Any, shape: Any) -> Iterator[Callable[[], Any]]:
+def _bsdf_calls(bsdf: mi.BSDF, shape: mi.Shape) -> Iterator[Callable[[], Any]]:
     mi = load_mitsuba()
     context, out = mi.BSDFContext(), mi.Vector3f(0, 0, 1)
     si = _point(shape)
@@ -235,7 +240,9 @@ def _bsdf_calls(bsdf: Any, shape: Any) -> Iterator[Callable[[], Any]]:
     yield lambda: bsdf.eval_null_transmission(si)
 
 
-def _emitter_calls(emitter: Any, shape: Any | None, rays: bool) -> Iterator[Callable[[], Any]]:
+def _emitter_calls(
+    emitter: mi.Emitter, shape: mi.Shape | None, rays: bool
+) -> Iterator[Callable[[], Any]]:
     # Not at the top: Dr.Jit looks for its library when it is imported.
     import drjit as dr
 
@@ -250,7 +257,7 @@ def _emitter_calls(emitter: Any, shape: Any | None, rays: bool) -> Iterator[Call
         yield lambda: emitter.sample_ray(0, mi.Float(0.5), half, half)
 
 
-def _point(shape: Any | None) -> Any:
+def _point(shape: mi.Shape | None) -> Any:
     """A mi.SurfaceInteraction3f that is seen from the front."""
     import drjit as dr
 
@@ -264,7 +271,7 @@ def _point(shape: Any | None) -> Any:
     return si
 
 
-def referred(props: Any) -> dict[str, int]:
+def referred(props: mi.Properties) -> dict[str, int]:
     """Indices of the nodes that a node refers to, by the names of the properties."""
     kind = load_mitsuba().Properties.Type.ResolvedReference
     return {key: props[key].index() for key in list(props.keys()) if props.type(key) == kind}

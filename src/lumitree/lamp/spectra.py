@@ -4,9 +4,11 @@ Mitsuba evaluates its plugin `blackbody` in spectral variants alone, and keeps o
 other spectra.
 """
 
+from __future__ import annotations
+
 import collections
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +24,9 @@ from lumitree.core.photometry import (
     xyz_of_spectrum,
 )
 from lumitree.errors import LumitreeError, shown, shown_names
+
+if TYPE_CHECKING:
+    import mitsuba as mi
 
 # With their defaults: K, and the range of wavelengths, nm.
 _PARAMETERS = {"temperature": None, "wavelength_min": 360.0, "wavelength_max": 830.0}
@@ -44,7 +49,7 @@ def replace_blackbodies(file: Any) -> list[str]:
     return [f"{shown_names(dict.fromkeys(names))}: {line}" for line, names in notes.items()]
 
 
-def _replaced(file: Any, emitter: Any) -> Iterator[str]:
+def _replaced(file: Any, emitter: mi.Properties) -> Iterator[str]:
     for name, node in file.children(emitter).items():
         if node.props.plugin_name() == "blackbody":
             body = blackbody_of(node.props)
@@ -70,7 +75,7 @@ def _radiance_property(radiance: RGB, body: tuple[float, float, float]) -> Any:
     return mi.load_dict({"type": "regular", "values": values, **limits})
 
 
-def blackbody_of(props: Any) -> tuple[float, float, float]:
+def blackbody_of(props: mi.Properties) -> tuple[float, float, float]:
     """Temperature, K, and shortest and longest wavelength, nm, of the plugin `blackbody`."""
     values = []
     for name, default in _PARAMETERS.items():
@@ -100,7 +105,7 @@ def spectra_of_emitters(file: Any) -> dict[str, Samples]:
     return found
 
 
-def _samples(file: Any, emitter: Any) -> Samples | None:
+def _samples(file: Any, emitter: mi.Properties) -> Samples | None:
     held = file.children(emitter).get("radiance")
     if held is None:
         return _listed(emitter, "radiance")
@@ -109,7 +114,7 @@ def _samples(file: Any, emitter: Any) -> Samples | None:
     return _listed(held.props, "value") if held.props.plugin_name() == "spectrum" else None
 
 
-def _listed(props: Any, name: str) -> Samples | None:
+def _listed(props: mi.Properties, name: str) -> Samples | None:
     if name not in props:
         return None
     if props.type(name) != load_mitsuba().Properties.Type.Spectrum:

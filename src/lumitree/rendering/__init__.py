@@ -1,8 +1,8 @@
 """Assets in Mitsuba scenes: placement, images, passes.
 
-`scene.load_scene` reads rooms (files, dictionaries, `mi.Scene`), `integrators` chooses the
-integrator, `render` returns images as arrays, and `saved_image` writes them. Assets are opened by
-`asset_cache`, and `device` has their copies on the device.
+`scene` reads scenes (files, dictionaries, `mi.Scene`), chooses the integrator and places the
+luminaires; `render` returns images as arrays, and `image` writes and mixes them. Assets are opened
+by `asset_cache`, and `device` has their copies on the device.
 
 The plugins of Mitsuba, which `register` registers: `shapes` makes the proxy of a lamp and, where
 images show its geometry, the shapes of `geometry`. `emitter` and `null_bsdf` are attached to the

@@ -22,7 +22,7 @@ _INSIDE = 0.998
 _SAME = 1e-3
 
 
-def holds_objects(shapes: Sequence[mi.Shape], boxes: NDArray[np.float64]) -> NDArray[np.bool_]:
+def contains_objects(shapes: Sequence[mi.Shape], boxes: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Whether one of some shapes is in each box, by more than it may touch.
 
     Meshes, rectangles and spheres are tested exactly; of other shapes, the axis-aligned box.
@@ -111,7 +111,7 @@ def warn_of_overlaps(
     """Warn once of boxes that overlap, and once of lamps that are in one place.
 
     Args:
-        boxes: [N, 4, 4] as for `holds_objects`.
+        boxes: [N, 4, 4] as for `contains_objects`.
         kinds: what is placed; equal for instances of one lamp.
         fields: which are shown by a radiance field. Others may overlap each other.
     """

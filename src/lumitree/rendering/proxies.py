@@ -22,7 +22,7 @@ from lumitree.core.device import on_device
 from lumitree.lamp.scene_shapes import build_again, shape_groups
 from lumitree.rendering.emitter import PlacedLamp, lamp_of, lamps_of, sampled_only
 from lumitree.rendering.objects import make_object, shape_number
-from lumitree.rendering.placement_checks import holds_objects, overlapping
+from lumitree.rendering.placement_checks import contains_objects, overlapping
 from lumitree.rendering.sampling import safe_inverse, slab
 
 # Bound on the null surfaces that a path, or a shadow ray, crosses, so that every kernel terminates.
@@ -346,7 +346,7 @@ def _one_scene_only() -> bool:
 def _light_insides(lamps: list[PlacedLamp], others: list[mi.Shape]) -> bool:
     """Let lamps light shapes in their boxes; whether another lamp's shapes are in one of them."""
     boxes = np.array([lamp.scene_from_box for lamp in lamps]).reshape(-1, 4, 4)
-    lit, overlap = holds_objects(others, boxes), False
+    lit, overlap = contains_objects(others, boxes), False
     for pair in overlapping(boxes):
         if any(lamps[i].shows_geometry for i in pair):
             lit[pair], overlap = True, True

@@ -22,9 +22,9 @@ from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.results import Stopwatch
 from lumitree.core.seeds import check_seed
 from lumitree.errors import LumitreeError, explained
+from lumitree.rendering.image import SavedImage
 from lumitree.rendering.placement import Placement
 from lumitree.rendering.render_job import Described, RenderJob, renderer_of
-from lumitree.rendering.saved_image import SavedImage
 from lumitree.rendering.view_transform import View, check_view, displayed, room_exposure
 
 if TYPE_CHECKING:

@@ -28,7 +28,7 @@ from lumitree.rendering.emitter import Appearance, Sampling, shows_geometry
 from lumitree.rendering.layers import records_layers
 from lumitree.rendering.objects import load_ordered
 from lumitree.rendering.placement import Placement
-from lumitree.rendering.placement_checks import holds_objects, warn_of_overlaps
+from lumitree.rendering.placement_checks import contains_objects, warn_of_overlaps
 from lumitree.rendering.register import register, shape
 
 # `volpath` starts rays (1 + largest coordinate) * RayEpsilon from surfaces. Where that is this part
@@ -442,7 +442,7 @@ def _warn_far(placed: PlacedLuminaire) -> None:
 
 def _warn_unlit_by_volpath(scene: mi.Scene, placed: PlacedLuminaire) -> None:
     """Warn of objects in a lamp's box, which `volpath` does not light."""
-    if holds_objects(scene.shapes(), placed.scene_from_box[None])[0]:
+    if contains_objects(scene.shapes(), placed.scene_from_box[None])[0]:
         warnings.warn(
             f"{placed.title}: an object of the room is inside its box, where volpath does not "
             "light it; lumitree_path does",
@@ -463,7 +463,7 @@ def _warn_unlit(scene: mi.Scene, luminaires: Sequence[PlacedLuminaire], sampling
     if not causes:
         return
     boxes = np.stack([placed.scene_from_box for placed in causes])
-    inside = holds_objects(scene.shapes(), boxes)
+    inside = contains_objects(scene.shapes(), boxes)
     for (placed, cause), has_objects in zip(causes.items(), inside, strict=True):
         if has_objects:
             warnings.warn(

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lumitree.errors import shown, shown_names
 from lumitree.lamp.importers.gltf_document import MAX_MAGNITUDE, Document, Item, Notes
-from lumitree.lamp.meshes import Floats, Mesh, area_normals
+from lumitree.lamp.meshes import Floats, Mesh, area_normals, summed_at_vertices
 from lumitree.lamp.parts import check_shapes
 
 MAX_DECODED_BYTES = 2**30
@@ -336,9 +336,7 @@ def _with_normals(mesh: Mesh, normals: Floats) -> Mesh:
     lengths = np.linalg.norm(normals, axis=1)
     missing = lengths < 1e-6
     if missing.any():
-        around = np.zeros_like(normals)
-        for corner in range(3):
-            np.add.at(around, mesh.faces[:, corner], area_normals(mesh.vertices, mesh.faces))
+        around = summed_at_vertices(mesh.vertices, mesh.faces)
         around[(around == 0).all(axis=1)] = (0.0, 1.0, 0.0)
         normals = np.where(missing[:, None], around, normals)
         lengths = np.linalg.norm(normals, axis=1)

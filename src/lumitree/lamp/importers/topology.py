@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from lumitree.errors import LumitreeWarning
 from lumitree.lamp.importers.polygons import newell
-from lumitree.lamp.meshes import Floats, Mesh, area_normals
+from lumitree.lamp.meshes import Floats, Mesh, area_normals, summed_at_vertices
 
 Indices = NDArray[np.int64]
 
@@ -362,10 +362,7 @@ def turned_with_normals(mesh: Mesh, turn: NDArray[np.bool_]) -> Mesh:
     that are turned should share no vertex with faces that are not.
     """
     faces = np.where(turn[:, None], mesh.faces[:, ::-1], mesh.faces)
-    around = np.zeros_like(mesh.normals)
-    for corner in range(3):
-        np.add.at(around, faces[:, corner], area_normals(mesh.vertices, faces))
-    back = (around * mesh.normals).sum(axis=1) < 0
+    back = (summed_at_vertices(mesh.vertices, faces) * mesh.normals).sum(axis=1) < 0
     normals = np.where(back[:, None], -mesh.normals, mesh.normals)
     return dataclasses.replace(mesh, faces=faces, normals=normals)
 

@@ -1,4 +1,4 @@
-"""Mixtures of the layers of an image."""
+"""Images as results: written to files, and mixed from their layers."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -7,17 +7,75 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.arguments import check_gain
+from lumitree.core.arguments import check_gain, check_sheet_output
 from lumitree.core.backend import in_turn
-from lumitree.core.files import FilePath
-from lumitree.core.images import encode_png, image_settings, read_comment, read_exr
-from lumitree.core.results import Stopwatch
-from lumitree.errors import LumitreeError, shown
-from lumitree.rendering.saved_image import SavedImage
+from lumitree.core.files import FilePath, write_bytes
+from lumitree.core.images import (
+    check_image_name,
+    encode_png,
+    image_settings,
+    read_comment,
+    read_exr,
+    write_exr,
+)
+from lumitree.core.photometry import luminance
+from lumitree.core.results import ImageResult, Stopwatch
+from lumitree.errors import LumitreeError, explained, shown
 from lumitree.rendering.view_transform import View, check_view, displayed, room_exposure
 
 # W/(m² sr); sums over the pixels of an image are then finite in single precision.
 _MAX_RADIANCE = 1e30
+
+
+@dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
+class SavedImage(ImageResult):
+    """Base class of results with an image that can be written to a file.
+
+    Attributes:
+        pixels: float32 [height, width, 3], linear radiance, W/(m² sr).
+        settings: what made the image, as JSON text; the comment of the files.
+        exposure: factor on the radiance before the view transform of `png`.
+    """
+
+    pixels: NDArray[np.float32] = dataclasses.field(repr=False)
+    settings: str = dataclasses.field(repr=False)
+    exposure: float
+
+    @explained
+    def save(self, path: FilePath) -> None:
+        """Write the image.
+
+        Args:
+            path: path of the file, `.exr` (linear radiance) or `.png` (`png`).
+
+        Raises:
+            LumitreeError: the name has another ending, or the file cannot be written.
+        """
+        check_image_name(path)
+        if Path(path).suffix.lower() == ".exr":
+            write_exr(path, {"RGB": self.pixels}, self.settings)
+        else:
+            write_bytes(path, self.png)
+
+    @property
+    def luminance(self) -> NDArray[np.float64]:
+        """Luminance [height, width], cd/m²."""
+        return luminance(self.pixels)
+
+    @explained
+    def save_luminance(self, path: FilePath) -> None:
+        """Write the luminance in false colours, with a legend in cd/m².
+
+        Args:
+            path: path of the file, `.png`.
+
+        Raises:
+            LumitreeError: the name has another ending, or the file cannot be written.
+        """
+        from lumitree.rendering.drawing import luminance_png
+
+        check_sheet_output(path, "luminance image")
+        write_bytes(path, luminance_png(self.luminance))
 
 
 @dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
