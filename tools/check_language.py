@@ -17,10 +17,7 @@ ROOT = Path(__file__).parents[1]
 # Everything that is written by hand. Generated tables, in benchmarks/results, are not.
 CHECKED = [
     *("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "ARCHITECTURE.md", "SECURITY.md"),
-    *("docs", "benchmarks", "examples", "integrations", "tools"),
-    # Packages of the library, until all of them are checked.
-    *(f"src/lumitree/{each}" for each in ("asset", "core", "demo.py", "errors.py", "exports")),
-    *(f"src/lumitree/{each}" for each in ("formats", "lamp", "many", "viewer")),
+    *("src", "docs", "benchmarks", "examples", "integrations", "tools"),
 ]
 EXCLUDED = ("docs/_build", "docs/generated", "benchmarks/results")
 SUFFIXES = (".py", ".md", ".ipynb")

@@ -194,10 +194,8 @@ def section(found: Found) -> str:
     if draw_ladder(found):
         text += found.image("page", "ladder", "Speed-up over the explicit lamp, by method")
     text += "Reference, explicit, the paper's way, divided; below, the middle of each. First in "
-    text += (
-        "about equal time, then at about the paper's RMSE. Images of commits up to 5a6685d also "
-    )
-    text += "show importance sampling of the octree's leaves, before the last column.\n\n"
+    text += "about equal time, then at about the paper's RMSE. Images of commits up to 5a6685d "
+    text += "also show importance sampling of the octree's leaves, before the last column.\n\n"
     return text + "".join(
         found.image(f"5-{lamp}", name, f"{lamp}, equal {name}")
         for lamp in LAMPS

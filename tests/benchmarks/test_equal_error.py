@@ -156,4 +156,4 @@ def test_kept_images_depend_on_all_code_that_renders(monkeypatch):
     monkeypatch.setattr(batches, "digest", lambda *paths: files.extend(paths))
     code_digest()
     folders = {path.parent.name for path in files}
-    assert {"rendering", "plugins", "sampling", "octree", "asset", "core"} <= folders
+    assert {"rendering", "octree", "asset", "core"} <= folders

@@ -95,7 +95,7 @@ def test_training_stops_at_the_deadline_and_goes_on(tmp_path, monkeypatch):
     config = dataclasses.replace(SCALES["test"].network, num_steps=5000)
     done, asked = [0], []
 
-    def train(dataset, run, config, resume, stop_after):
+    def train(dataset, run, config, seed, resume, stop_after):
         assert resume == bool(done[0])
         run.mkdir(exist_ok=True)
         asked.append(stop_after)

@@ -8,7 +8,6 @@ import json
 import os
 import resource
 import shutil
-import signal
 import socket
 import subprocess
 import sys
@@ -154,37 +153,6 @@ def test_json_refuses_nan(tmp_path):
         with pytest.raises(LumitreeError, match=r"is not finite, and no file is written .*JSON"):
             write_json(tmp_path / "a.json", {"x": [float(number)]})
     assert os.listdir(tmp_path) == []
-
-
-def test_what_a_killed_process_left_is_removed(tmp_path):
-    """And nothing else: neither what a living process writes nor files of like names."""
-    code = (
-        "import sys, time\n"
-        "from lumitree.core.files import atomic_path\n"
-        "with atomic_path(sys.argv[1]) as temporary:\n"
-        "    print(temporary, flush=True)\n"
-        "    time.sleep(600)\n"
-    )
-    target = tmp_path / "a.txt"
-    processes = [
-        subprocess.Popen([sys.executable, "-c", code, str(target)], stdout=subprocess.PIPE)
-        for _ in range(2)
-    ]
-    killed, living = (Path(process.stdout.readline().decode().strip()) for process in processes)
-    others = [tmp_path / ".a.lumitree-notes.txt", tmp_path / ".b.lumitree-12345678.txt"]
-    for other in others:
-        other.write_text("mine")
-    try:
-        processes[0].kill()
-        processes[0].wait()
-        assert killed.exists()
-        with atomic_path(target) as temporary:
-            temporary.write_text("whole")
-        assert sorted(tmp_path.iterdir()) == sorted([target, living, *others])
-    finally:
-        processes[1].kill()
-        for process in processes:
-            process.communicate()
 
 
 def test_outputs_that_cannot_be_written_are_refused_before(tmp_path):
@@ -383,40 +351,48 @@ def test_scratch_folders_last_as_long_as_their_objects(tmp_path, monkeypatch):
     assert ScratchFolder().path.parent != kept.path.parent
 
 
-def test_scratch_folders_of_killed_processes_are_removed(tmp_path, monkeypatch):
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    (tmp_path / "lumitree-scratch-somebody").mkdir()
-    (tmp_path / "lumitree-scratch-somebody" / "mine").touch()
+KILLED = """
+import sys, time
+from lumitree.core.files import atomic_path, scratch_folder
+with atomic_path(sys.argv[1]) as temporary, scratch_folder() as folder:
+    (folder / "a").write_text("x")
+    print(temporary, folder, flush=True)
+    time.sleep(600)
+"""
+
+
+def test_files_and_folders_of_killed_processes_are_removed(tmp_path, monkeypatch):
+    """And nothing else: neither those of a living process nor others of like names."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "tmp"))
+    others = [".a.lumitree-notes.txt", ".b.lumitree-12345678.txt", "tmp/lumitree-scratch-mine/a"]
+    for other in others:
+        (tmp_path / other).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / other).write_text("mine")
     # Of a process that was killed before it locked its folder.
-    (tmp_path / "lumitree-scratch-00000000").mkdir()
-    code = (
-        "import sys, time\n"
-        "from lumitree.core.files import scratch_folder\n"
-        "with scratch_folder() as folder:\n"
-        "    (folder / 'a').write_text('x')\n"
-        "    print(folder, flush=True)\n"
-        "    time.sleep(600)\n"
-    )
-    environment = os.environ | {"TMPDIR": str(tmp_path)}
+    (tmp_path / "tmp" / "lumitree-scratch-00000000").mkdir()
+    command = [sys.executable, "-c", KILLED, str(tmp_path / "a.txt")]
+    environment = os.environ | {"TMPDIR": str(tmp_path / "tmp")}
     processes = [
-        subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, env=environment)
+        subprocess.Popen(command, stdout=subprocess.PIPE, env=environment, text=True)
         for _ in range(2)
     ]
-    killed, living = (Path(process.stdout.readline().decode().strip()) for process in processes)
+    killed, living = ([Path(each) for each in p.stdout.readline().split()] for p in processes)
     try:
-        processes[0].send_signal(signal.SIGKILL)
+        processes[0].kill()
         processes[0].wait()
-        assert killed.is_dir()
-        with scratch_folder() as own:
-            assert not killed.exists()
-            assert not (tmp_path / "lumitree-scratch-00000000").exists()
-            assert living.is_dir()
-            assert own.is_dir()
-        assert not own.exists()
-        assert (tmp_path / "lumitree-scratch-somebody").is_dir()
+        assert all(path.exists() for path in killed)
+        with atomic_path(tmp_path / "a.txt") as temporary, scratch_folder() as scratch:
+            temporary.write_text("whole")
+            assert all(path.exists() for path in living)
+        assert not scratch.exists()
+        files = {path for path in tmp_path.rglob("*") if path.is_file()}
+        expected = {tmp_path / name for name in ("a.txt", *others)}
+        expected |= {living[0], living[1] / "a", living[1] / MARKER}
+        assert files == expected
+        assert not (tmp_path / "tmp" / "lumitree-scratch-00000000").exists()
     finally:
-        processes[1].kill()
         for process in processes:
+            process.kill()
             process.communicate()
 
 

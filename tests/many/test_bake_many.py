@@ -202,7 +202,7 @@ def die(report):
     if report.task.startswith("light of") and report.within.done == 1:
         os.kill(os.getpid(), signal.SIGKILL)
 
-set_qualities(dict.__setitem__)
+set_qualities(setattr)
 lumitree.bake_many(["a.xml", "b.xml", "c.xml"], "out", standard(parts=("light",)), progress=die)
 """
 

@@ -14,7 +14,7 @@ from typing import Any
 from cyclopts import App, CycloptsError, Parameter
 
 from lumitree._version import __version__
-from lumitree.cli.commands import COMMANDS, Command, Given, join_groups
+from lumitree.cli.commands import COMMANDS, GROUPS, Command, Given, join_groups
 from lumitree.cli.output import LONGEST_LINE
 from lumitree.cli.signatures import OUTPUTS, with_signature
 from lumitree.core.backend import quieten
@@ -126,7 +126,7 @@ def _check_files(given: Given) -> None:
     for text in (text for name, text in texts if name in OUTPUTS):
         place = _place(text)
         if place in written:
-            raise LumitreeError(f"{shown(text, 300)} is given for two outputs; name each its own")
+            raise LumitreeError(f"{shown(text, 300)} is given for two outputs; name two")
         if place in read and os.path.isfile(text):
             raise LumitreeError(
                 f"{shown(text, 300)} is read, and would be written over; choose another output"
@@ -139,8 +139,7 @@ def _texts(given: Given) -> Iterator[tuple[str, str]]:
     for name, value in given.items():
         for each in value if isinstance(value, list | tuple) else [value]:
             if isinstance(each, str):
-                group = name in ("place", "plane", "surface")
-                yield name, next(iter(json.loads(each).values())) if group else each
+                yield name, next(iter(json.loads(each).values())) if name in GROUPS else each
 
 
 def _place(name: str) -> str:

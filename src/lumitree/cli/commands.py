@@ -105,7 +105,7 @@ def _text(help: str) -> Option:
 
 
 def _patterns(help: str) -> Option:
-    return Option(list[str], help, None)
+    return Option(list[str], help)
 
 
 _JSON = _file("Also write the results as JSON to this file.")
@@ -122,14 +122,11 @@ _READING = {
     "drop": _patterns("Leave the shapes or parts that match the pattern away; may be repeated."),
 }
 _WORKERS = {
-    "workers": Option(
-        int | None, "Number of processes that share the work. Default: this one.", None
-    ),
+    "workers": Option(int, "Number of processes that share the work. Default: this one."),
     "scheduler": Option(
-        str | None,
+        str,
         "Address of a Dask scheduler whose workers share the work, such as "
         "tcp://192.168.0.2:8786 (`pip install 'lumitree[cluster]'`).",
-        None,
     ),
 }
 
@@ -141,17 +138,13 @@ def workers(given: Given) -> Iterator[Given]:
     count, address = given.pop("workers", None), given.pop("scheduler", None)
     if count is not None and address is not None:
         raise LumitreeError("--workers and --scheduler are given; give one of them")
-    if count is not None:
-        from lumitree.core.executor import process_pool
+    from lumitree.core.executor import dask_executor, process_pool
 
-        with process_pool(count) as executor:
-            yield given | {"executor": executor}
-    elif address is not None:
-        from lumitree.core.executor import dask_executor
-
-        with dask_executor(address) as executor:
-            yield given | {"executor": executor}
-    else:
+    with contextlib.ExitStack() as stack:
+        if count is not None:
+            given["executor"] = stack.enter_context(process_pool(count))
+        elif address is not None:
+            given["executor"] = stack.enter_context(dask_executor(address))
         yield given
 
 
@@ -170,50 +163,26 @@ def call(function: str, given: Given, *positional: Any) -> Any:
         return getattr(lumitree, function)(*positional, **arguments)
 
 
-@dataclasses.dataclass(frozen=True)
-class Grouped:
-    """Options that follow another one and belong to it, as those of a lamp follow `--place`.
-
-    Attributes:
-        kind: public dataclass whose fields they are.
-        field: the field that begins a group.
-        without: fields that are no options.
-    """
-
-    kind: str
-    field: str
-
-    def options(self, begin: str) -> dict[str, Option]:
-        """The option that begins a group, and those of its other fields, for the help."""
-        found = {}
-        for name, each in options_of(self.kind).items():
-            settings, kind = Parameter(group=Group(f"Of each --{begin}")), each.type
-            if name == self.field:
-                complete = lamps if name == "source" else None
-                kind = Annotated[list[Path], Parameter(converter=each_text, completer=complete)]
-            found[begin if name == self.field else name] = Option(
-                Annotated[kind, settings], each.help
-            )
-        return found
-
-    def read(self, text: str) -> Any:
-        """The object of a group, which `join_groups` has written as one text."""
-        import lumitree
-
-        options, values = options_of(self.kind), json.loads(text)
-        for name in values:
-            if name not in options:
-                raise LumitreeError(
-                    f"--{name} is given for {shown(next(iter(values.values())))}, a "
-                    f"{self.kind.lower()}, which has none"
-                )
-        return getattr(lumitree, self.kind)(
-            **{name: convert(name, options[name], value) for name, value in values.items()}
-        )
+# Options that begin a group: `--at` belongs to the `--place` before it. A group is an object of a
+# public dataclass; the option that begins it is one of the fields.
+GROUPS = {
+    "place": ("Placement", "source"),
+    "plane": ("Plane", "centre"),
+    "surface": ("Surface", "shape"),
+}
 
 
-PLACES = {"place": Grouped("Placement", "source")}
-AREAS = {"plane": Grouped("Plane", "centre"), "surface": Grouped("Surface", "shape")}
+def group_options(begin: str) -> dict[str, Option]:
+    """The option that begins a group, and the options for the other fields, for the help."""
+    kind, first = GROUPS[begin]
+    group = Parameter(group=Group(f"For each --{begin}"))
+    found = {
+        name: dataclasses.replace(each, type=Annotated[each.type, group], default=None)
+        for name, each in options_of(kind).items()
+    }
+    begins = Parameter(converter=each_text, completer=lamps if begin == "place" else None)
+    option = Option(Annotated[list[Path], begins, group], found.pop(first).help)
+    return {begin: option, **found}
 
 
 def join_groups(command: str, arguments: Sequence[str]) -> list[str]:
@@ -221,39 +190,46 @@ def join_groups(command: str, arguments: Sequence[str]) -> list[str]:
 
     cyclopts has no options that depend on their order.
     """
-    joined: list[str] = []
-    groups = {"render": (PLACES,), "illuminance": (PLACES, AREAS)}.get(command, ())
-    latest: dict[str, tuple[str, int]] = {}
-    begins = {name: (kind, each) for kind in groups for name, each in kind.items()}
-    members = {
-        name: tuple(kind) for kind in groups for each in kind.values()
-        for name in options_of(each.kind) if name != each.field
-    }  # fmt: skip
+    groups = {"render": ("place",), "illuminance": ("place", "plane", "surface")}.get(command, ())
+    fields = {begin: options_of(GROUPS[begin][0]).keys() - {GROUPS[begin][1]} for begin in groups}
+    joined: list[str | dict[str, str]] = []
+    # The group to which an option belongs that comes now.
+    latest: dict[str, dict[str, str]] = {}
     rest = iter(arguments)
     for argument in rest:
         name, equals, value = argument.removeprefix("--").partition("=")
-        if not argument.startswith("--") or name not in begins.keys() | members.keys():
+        owners = [f"--{begin}" for begin in groups if name in fields[begin]]
+        if not argument.startswith("--") or not (owners or name in groups):
             joined.append(argument)
             continue
-        value = value if equals else next(rest, None)
-        if value is None:
+        if not equals and (value := next(rest, "")) == "":
             raise LumitreeError(f"--{name} needs a value; see 'lumitree {command} --help'")
-        if name in begins:
-            kind, each = begins[name]
-            for other in kind:
-                latest[other] = name, len(joined) + 1
-            joined += [f"--{name}", json.dumps({each.field: value})]
-            continue
-        if members[name][0] not in latest:
-            expected = " or ".join(f"--{each}" for each in members[name])
-            raise LumitreeError(f"--{name} comes before any {expected}")
-        _, place = latest[members[name][0]]
-        group = json.loads(joined[place])
-        if name in group:
-            first = next(iter(group.values()))
+        if name in groups:
+            group = {GROUPS[name][1]: value}
+            joined += [f"--{name}", group]
+            latest |= dict.fromkeys(fields[name], group)
+        elif name not in latest:
+            raise LumitreeError(f"--{name} comes before any {' or '.join(owners)}")
+        elif name in latest[name]:
+            first = next(iter(latest[name].values()))
             raise LumitreeError(f"--{name} is given twice for {shown(first)}")
-        joined[place] = json.dumps(group | {name: value})
-    return joined
+        else:
+            latest[name][name] = value
+    return [each if isinstance(each, str) else json.dumps(each) for each in joined]
+
+
+def _grouped(begin: str, given: Given) -> list[Any]:
+    """The objects of the groups of one kind, which it takes from the arguments."""
+    import lumitree
+
+    kind, found = GROUPS[begin][0], []
+    for text in given.pop(begin, ()):
+        values = {
+            name: convert(name, options_of(kind)[name], value)
+            for name, value in json.loads(text).items()
+        }
+        found.append(getattr(lumitree, kind)(**values))
+    return found
 
 
 def _places(given: Given) -> list[Any]:
@@ -261,15 +237,7 @@ def _places(given: Given) -> list[Any]:
     import lumitree
 
     file = given.pop("placements", None)
-    listed = [] if file is None else lumitree.read_placements(file)
-    return listed + [PLACES["place"].read(each) for each in given.pop("place", ())]
-
-
-def _placed() -> dict[str, Option]:
-    file = _file(
-        "TOML file with a table [lamps.NAME] for each lamp; its lamps come before those of --place."
-    )
-    return {"placements": file, **PLACES["place"].options("place")}
+    return (lumitree.read_placements(file) if file else []) + _grouped("place", given)
 
 
 def _bake(given: Given) -> Any:
@@ -290,9 +258,8 @@ def _bake(given: Given) -> Any:
             file, given.pop("quality", None), given.pop("method", None)
         )
         given = further | given
-    sources = [luminaire(name, given) for name in listed(names)]
-    for name in _READING:
-        given.pop(name, None)
+    reading = {name: given.pop(name) for name in _READING if name in given}
+    sources = [_titled(name, reading) for name in listed(names)]
     if len(sources) == 1 and not output.endswith(("/", os.sep)):
         (source,) = sources
         for extra, name in ((task, "--task"), (source.title, f"{shown(source.title)}=")):
@@ -318,11 +285,10 @@ def _bake(given: Given) -> Any:
     return call("bake_many", of_call | {"task": task}, sources, output, config)
 
 
-def luminaire(text: str, given: Given) -> Any:
+def _titled(text: str, reading: Given) -> Any:
     """The `LuminaireSource` of LUMINAIRE or NAME=LUMINAIRE; a file may have such a name."""
     from lumitree.lamp.source import LuminaireSource
 
-    reading = {name: given[name] for name in _READING if name in given}
     title, equals, name = text.partition("=")
     if not (title and equals and name) or os.path.exists(text) or os.path.basename(title) != title:
         return LuminaireSource(text, **reading)
@@ -376,7 +342,7 @@ def _shown_part(info: Any, leaves: int) -> str:
         return "Images show the radiance field."
     if info.appearance == "geometry":
         more = "" if leaves else " Other integrators than lumitree_path need a radiance field: "
-        return f"Images show the lamp's own geometry.{more}{more and '--parts all adds it.'}"
+        return f"Images show the geometry of the lamp.{more}{more and '--parts all adds it.'}"
     line = "Images show the light field, blurred."
     # A photometric file has no light paths, and no geometry to add.
     more = " --parts light,geometry adds what sharp ones need."
@@ -457,8 +423,8 @@ def _illuminance(given: Given) -> Any:
     for path in outputs:
         check_illuminance_output(path)
     given["placements"] = _places(given)
-    for name, each in AREAS.items():
-        given[f"{name}s"] = [each.read(text) for text in given.pop(name, ())]
+    for name in ("plane", "surface"):
+        given[f"{name}s"] = _grouped(name, given)
     if "points" in given:
         given["points"], given["normals"] = read_points(given["points"])
     result = call("illuminance", given)
@@ -541,8 +507,15 @@ def _show_demo(result: Given, given: Given) -> None:
 _IMAGE = _file("Image to write: .exr, linear radiance; or .png, as --view shows it.", "-o", NEEDED)
 
 
+def _placements() -> Option:
+    return _file(
+        "TOML file with a table [lamps.NAME] for each lamp; its lamps come before the lamps of "
+        "--place."
+    )
+
+
 def _needed(function: str, name: str = "output") -> dict[str, Option]:
-    """An option that has a default in Python alone, where the result is not lost without it."""
+    """An option that only Python has a default for: there the result is not lost without it."""
     return {name: dataclasses.replace(options_of(function)[name], default=NEEDED)}
 
 
@@ -625,9 +598,10 @@ COMMANDS: dict[str, Command] = {
                 "isolux lines) or .pdf (plan and table); may be repeated.",
             ),
             "points": _file("Further points: a CSV file with the columns x, y, z, nx, ny, nz."),
-            **_placed(),
-            **AREAS["surface"].options("surface"),
-            **AREAS["plane"].options("plane"),
+            "placements": _placements(),
+            **group_options("place"),
+            **group_options("surface"),
+            **group_options("plane"),
         },
     ),
     "render": Command(
@@ -636,7 +610,8 @@ COMMANDS: dict[str, Command] = {
         _show_image,
         lambda: {
             "output": _IMAGE,
-            **_placed(),
+            "placements": _placements(),
+            **group_options("place"),
             "progressive": Option(
                 bool,
                 "Write the image again and again while it is rendered, before denoising.",

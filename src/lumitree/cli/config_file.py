@@ -17,7 +17,7 @@ _FURTHER = ("work", "variant")
 _HEAD = """# Settings of 'lumitree bake --config FILE'. Remove the # before a setting to change it.
 # "..." stands for None: the setting has no value unless it is given.
 
-# Folder for the state, which is kept; it must be new, empty or that of an earlier call. Default:
+# Folder for the state, which is kept; it must be new, empty or of an earlier call. Default:
 # the name of ASSET with .work, removed at the end.
 #work = ...
 

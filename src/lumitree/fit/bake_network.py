@@ -116,14 +116,14 @@ def capture(
 
     Args:
         luminaire: what to render, in any form that `bake` takes.
-        output: folder of the dataset: new, empty, or that of the same capture.
+        output: folder of the dataset: new, empty, or of the same capture.
         views: number of views, 1 to 100,000.
         resolution: pixels per side of a view, 1 to 16,384.
         spp: paths per pixel, 1 to 1,048,576.
         split: "train" or "test". The two have no direction in common.
         variant: Mitsuba variant; see `bake`.
-        executor: whose workers render the views; each loads the luminaire. The views are those of
-            one process. Default: this process, which also writes them.
+        executor: whose workers render the views; each loads the luminaire. The views are
+            equal to the views of one process. Default: this process, which also writes them.
         progress: function that is called with a `Progress` after each view; see `bake`.
 
     Returns:
@@ -188,9 +188,9 @@ def train(
         quality: settings of the network: "preview", minutes on 2 CPU cores; or "paper", days on a
             GPU.
         seed: seed of the initial weights, the batches and the jitter, 0 to 2³¹ - 1. With `resume`
-            it must be that of the run.
+            it must be the seed of the run.
         resume: continue from the newest checkpoint in `output`. The result equals, bit for bit,
-            that of a run without interruption.
+            the result of a run without interruption.
         progress: function that is called with a `Progress` after each step; see `bake`.
 
     Returns:
@@ -273,8 +273,8 @@ def extract(
 
     Raises:
         LumitreeError: an argument is out of range; the run cannot be read; the field is empty; the
-            luminaire cannot be read, or its bounding box is not that of the views; or the extra
-            `network` of lumitree is not installed.
+            luminaire cannot be read, or its bounding box differs from the box of the views; or the
+            extra `network` of lumitree is not installed.
     """
     if output is not None:
         check_asset_output(output)

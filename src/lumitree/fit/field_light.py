@@ -5,7 +5,6 @@ import dataclasses
 from lumitree.asset.asset import Asset
 from lumitree.asset.light_field import make_light_field
 from lumitree.core.backend import load_mitsuba
-from lumitree.core.octahedral import intensity_of_histogram
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
 
@@ -23,6 +22,7 @@ def with_field_light(asset: Asset) -> Asset:
     if asset.light_field is not None or not asset.num_leaves:
         return asset
     load_mitsuba()
+    from lumitree.core.octahedral import intensity_of_histogram
     from lumitree.rendering.asset_flux import AssetRays
     from lumitree.trace.histograms import Histogram
     from lumitree.trace.light_paths import as_rows

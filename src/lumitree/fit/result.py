@@ -22,7 +22,7 @@ class BakeResult(Result):
         held_out_psnr: PSNR on held-out rays, dB; None if no field was baked from
             rays.
         held_out_psnr_uncertainty: half the width of the 68 % interval of `held_out_psnr`, dB.
-        rays: rays of the gradient descent, including those of the calls that this one continued;
+        rays: rays of the gradient descent, including the rays of the calls that this one continued;
             None if no field was baked from rays.
         stopped_by: number of the signal that interrupted the bake; None if there was none.
             The asset is then the best so far, or `complete`.

@@ -148,7 +148,7 @@ def preview(
 
     Returns:
         The figures of the luminaire or the asset (`AssetPreviewResult`), and the contact sheet as
-        `png`. Those of a luminaire have its `shapes`, for `keep` and `drop` of `load_luminaire`.
+        `png`. Figures of a luminaire list its `shapes`, for `keep` and `drop` of `load_luminaire`.
 
     Raises:
         LumitreeError: an argument is out of range; the luminaire cannot be read; or the file cannot

@@ -116,7 +116,7 @@ class LampCamera:
         near = _NEAR * similarity_scale(scene_from_local)
         sensor = {"type": "orthographic", "film": film, "near_clip": near}
         self.scene = mi.load_dict({**scene, "sensor": sensor})
-        # Those of softboxes depend on the lamp's size.
+        # Transforms of softboxes depend on the lamp's size.
         transforms_as_parameters(self.scene.shapes())
         self._integrator = integrator
 

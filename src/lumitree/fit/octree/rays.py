@@ -135,7 +135,7 @@ class RayTiles:
     def measure(self) -> float:
         """Integral of dA cos(theta) domega over all rays that `draw` chooses from, local units² sr.
 
-        Of all rays through the enlarged box: pi times its surface.
+        All rays through the enlarged box have pi times its surface.
         """
         x, y, z = self._half
         return float(np.pi * 8 * (x * y + y * z + z * x))
