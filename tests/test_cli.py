@@ -133,7 +133,7 @@ def test_bad_input(capsys, arguments, message):
     ("arguments", "message"),
     [
         (["train", "no", "-o", "run"], "holds no manifest.json"),
-        (["extract", "no", "-o", "a.lumitree"], "no holds no run.json"),
+        (["extract", "no", "-o", "a.lumitree"], "expected a run made by"),
     ],
 )
 def test_bad_input_of_the_network(network_packages, capsys, arguments, message):

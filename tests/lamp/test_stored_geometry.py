@@ -111,16 +111,21 @@ def seen(mi, loaded):
 
 def placed_shapes(mi, geometry, scale=1.0):
     """The shapes of geometry in a scene, where it is `scale` times as large."""
-    from lumitree.rendering.geometry import geometry_shapes
+    from lumitree.rendering.geometry import Surfaces, geometry_shapes
 
-    placed = SimpleNamespace(
-        asset=SimpleNamespace(light_factors=UNIT_FACTORS),
-        numbers=[scale],
+    device = SimpleNamespace(
+        surfaces=Surfaces(geometry),
+        straight=SimpleNamespace(densities=itertools.repeat(1.0)),
         traces_straight_light=True,
     )
-    straight = SimpleNamespace(densities=itertools.repeat(1.0))
-    lamp = SimpleNamespace(gain=mi.Color3f(1), placed=placed, straight=straight)
-    return geometry_shapes(geometry, np.diag([scale, scale, scale, 1]), lamp)
+    lamp = SimpleNamespace(
+        asset=SimpleNamespace(geometry=geometry, light_factors=UNIT_FACTORS),
+        device=device,
+        numbers=[scale],
+        gain=mi.Color3f(1),
+        traces_straight_light=True,
+    )
+    return geometry_shapes(np.diag([scale, scale, scale, 1]), lamp)
 
 
 @pytest.mark.parametrize(

@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree._version import __version__
-from lumitree.core.files import WriteError, atomic_path, remove
+from lumitree.core.files import WriteError, atomic_path
 from lumitree.core.reading import parse_json, read_arrays
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 
 Arrays = dict[str, NDArray[Any]]
-# Patterns of the files of all checkpoints in a work folder.
-CHECKPOINTS = ("*.npz", "run/*.npz")
+# Files of all checkpoints in a work folder: of light field, octree fit, network and image.
+CHECKPOINTS = ("light.npz", "octree.npz", "run/run.npz", "passes.npz")
 # Name of the fingerprint among the arrays.
 _FINGERPRINT = "fingerprint"
 # Least time between two checkpoints, s, and the largest part of the time that saving them takes.
@@ -106,11 +106,6 @@ class Checkpoint:
         """`try_save` the arrays that a function returns, if that was not done for a while."""
         if time.monotonic() >= self._next:
             self.try_save(arrays())
-
-    def remove(self) -> None:
-        """Remove the file, if there is one."""
-        if self.exists:
-            remove(self._path)
 
 
 def read_checkpoint(path: Path) -> tuple[dict[str, Any], Arrays]:
