@@ -123,7 +123,7 @@ def test_planes_surfaces_and_points_are_written(mi, room, tmp_path, capsys):
     ("arguments", "message"),
     [
         (["--normal", "0,1,0", "--plane", "0,0,0"], "--normal comes before any --plane"),
-        (["--surface", "desk", "--normal", "0,1,0"], "it is for a --plane"),
+        (["--surface", "desk", "--normal", "0,1,0"], "--normal comes before any --plane"),
         (["--plane", "0,0,0", "--spacing", "1", "--spacing", "2"], "--spacing is given twice"),
         (["--plane", "0,0,0", "-o", "lux.txt"], "does not end in one of .csv"),
         (["--points", "missing.csv"], "does not exist"),
