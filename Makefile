@@ -4,16 +4,22 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: demo test slow lint check docs gallery paper gpu dist sbom format clean
+.PHONY: demo test test-all budget lint check docs gallery paper gpu dist sbom format clean
 
 demo: $(VENV)/.installed
 	$(BIN)/lumitree demo -o demo-output
 
+# At most 5 minutes on 2 idle cores (pytest prints its time).
 test: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -n 2 --dist worksteal
 
-slow: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -m slow
+# These, and the tests marked `slow`: hours.
+test-all: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m ''
+
+# Sizes of packages, tests and pages, and the most that they may have.
+budget: $(BIN)/python
+	$(BIN)/python tests/budget.py
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
