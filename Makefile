@@ -19,7 +19,7 @@ test-all: $(VENV)/.installed-dev
 
 # Sizes of packages, tests and pages, and the most that they may have.
 budget: $(BIN)/python
-	$(BIN)/python tests/budget.py
+	$(BIN)/python tools/budget.py
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

@@ -1,12 +1,6 @@
 """The check of language finds what it is for. `make lint` runs it on the whole project."""
 
-import sys
-from pathlib import Path
-
 import pytest
-
-sys.path.append(str(Path(__file__).parents[1] / "tools"))
-
 from check_language import texts, violations
 
 

@@ -1,6 +1,6 @@
-"""Sizes of the house, and the most that it may have: `make budget` prints them.
+"""Sizes of the project beside the most that it may have. `make budget` prints them.
 
-A commit that needs more raises a number of `LINES`, `FILES` or `OTHERS` and says why in its message.
+A commit that needs more raises a number of `LINES`, `FILES` or `OTHERS`, and its message says why.
 """
 
 import ast
@@ -14,16 +14,31 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src/lumitree"
 
 # Lines of Python by package of `src/lumitree`; "" are the modules beside the packages.
-LINES: dict[str, int] = {}
-FILES = 440
+LINES = {
+    "": 400,
+    "asset": 2_900,
+    "cli": 1_650,
+    "core": 4_900,
+    "exports": 3_600,
+    "fit": 5_900,
+    "formats": 4_100,
+    "lamp": 10_850,
+    "many": 600,
+    "measure": 4_850,
+    "octree": 1_050,
+    "rendering": 8_950,
+    "trace": 1_900,
+    "viewer": 1_250,
+}
+FILES = 216
 OTHERS = {
-    "lines of tests": 60_000,
-    "lines of benchmarks": 10_000,
-    "words of docs by hand": 90_000,
-    "lines of README.md": 140,
-    "files that use the word gain": 60,
-    "lines with Any": 800,
-    "private functions used once": 700,
+    "lines of tests": 41_800,
+    "lines of benchmarks": 9_800,
+    "words of docs by hand": 45_000,
+    "lines of README.md": 90,
+    "files that use the word gain": 22,
+    "lines with Any": 480,
+    "private functions used once": 370,
 }
 
 
