@@ -7,8 +7,9 @@ in at most three times as many steps as the grid has cells a side.
 
 A cell is sampled from a table that depends on the receiver (`light_table`); then a point of the
 cell, uniformly. Receivers that are farther away get points of sums of cells (`light_levels`), whose
-tables and intensities are small. Rays get the light of the cells of level 0. Both weights are by
-the sum, whose level is random for each of them: the mean over levels is the same.
+tables and intensities are small. Rays get the light of the cells of level 0. Sampled
+points and rays of the BSDF are both weighted by the probability of the sum of cells, each at a
+level that is random: the mean over levels is the same.
 
 A sampled point is used in two ways. Integrators that sample directions alone get the radiance of
 the whole ray through the point, over its density, for which a tenth of the directions is uniform

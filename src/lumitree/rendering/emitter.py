@@ -383,7 +383,7 @@ class PlacedLamp(PlacedAsset):
             found = self.straight.sample(at, target, sample, straight)
             direction = dr.select(straight, found, direction)
         ds, valid = self._towards(it, x, direction, active & ~self_light)
-        # From where the light leaves the box it is there already.
+        # A receiver in the box that was moved to the box's face is at the end of its shadow ray.
         moved = mi.Bool(False) if self.lights_inside else self.in_box(at)
         end, beyond = dr.select(moved, 0, ds.dist), mi.Float(0)
         point = target.distance * self.scale
@@ -601,8 +601,8 @@ class PlacedLamp(PlacedAsset):
 def sampled_only(x: mi.Point3f, radius: mi.Float, bsdf_pdf: mi.Float) -> mi.Bool:
     """Whether emitter sampling alone finds the light of a direction of a BSDF.
 
-    A direction that the BSDF hardly ever samples is left to it, so that few paths need the radiance
-    of a whole ray.
+    Emitter sampling alone finds the light of directions that the BSDF hardly ever samples, so that
+    few paths need the radiance of a whole ray.
 
     Args:
         x: receiver, relative to the centre of the lamp.

@@ -187,7 +187,7 @@ class Vertex:
     active_medium: mi.Bool        # In a medium, which scatters
     last: mi.Bool                 # Whether only null interactions may follow
     opaque: mi.Bool               # Whether the surface lets no light through
-    straight: mi.Bool             # Whether it is glass that bends no ray (`geometry`)
+    thin_glass: mi.Bool           # Whether it is glass that bends no ray (`geometry`)
     behind: mi.Bool               # Whether the ray has met this glass from inside
     # fmt: on
 
@@ -585,7 +585,8 @@ def add_emitter_light(
     active &= ~(vertex.opaque & on_opposite_sides(si, path.ray.d, ds.d))
     light = path.β * scattering.value_em
     active &= dr.max(light) > 0
-    # A lamp's surfaces get nothing of its light field, which has the light that passes its glass.
+    # A lamp's surfaces get nothing of its light field, which has the light that passes its glass:
+    # this glass attenuates here instead of blocking.
     self_light = choice.selected.index == vertex.owner
     target = dr.select(self_light, NONE, choice.selected.index)
     light *= visible(scene, si, ds, choice.sampled.beyond, target, path.medium, active)
@@ -753,11 +754,13 @@ def find_vertex(
         si[hit.hit_medium] = medium_paths.scattering_point(path.ray, free_flight.distance)
     active_surface, active_medium = active & ~hit.hit_medium, active & hit.hit_medium
 
-    straight, behind = mi.Bool(False), mi.Bool(False)
+    thin_glass, behind = mi.Bool(False), mi.Bool(False)
     if scene.shows_geometry:
         # Glass that light crosses straight is seen from outside on both sides.
-        straight = active_surface & ~path.specular_chain & ((bsdf.flags() & CROSSED_STRAIGHT) != 0)
-        behind = straight & (si.wi.z < 0)
+        thin_glass = (
+            active_surface & ~path.specular_chain & ((bsdf.flags() & CROSSED_STRAIGHT) != 0)
+        )
+        behind = thin_glass & (si.wi.z < 0)
         si.wi.z = dr.select(behind, -si.wi.z, si.wi.z)
     opaque = active_surface & is_opaque(bsdf)
     return Vertex(
@@ -769,7 +772,7 @@ def find_vertex(
         active_medium,
         last,
         opaque,
-        straight,
+        thin_glass,
         behind,
     )
 
@@ -802,7 +805,7 @@ def scatter(scene: PathScene, path: PathState, vertex: Vertex, scattering: Scatt
     active = vertex.active_surface | vertex.active_medium
     null = vertex.active_surface & mi.has_flag(bs.sampled_type, mi.BSDFFlags.Null)
     if scene.shows_geometry:
-        crossed = vertex.straight & mi.has_flag(bs.sampled_type, mi.BSDFFlags.DeltaTransmission)
+        crossed = vertex.thin_glass & mi.has_flag(bs.sampled_type, mi.BSDFFlags.DeltaTransmission)
         null |= crossed
         # Radiance is not compressed, as it would be in a denser medium.
         path.β[crossed] *= dr.square(bs.eta)

@@ -30,16 +30,16 @@ OUTSIDE, INSIDE, STRAIGHT = range(3)
 class Target:
     """The point in a lamp that a sampled direction leads to (a PyTree of Dr.Jit).
 
-    A sampler that returns directions alone has a distance of -inf. Only a sampler of cells has
-    all others.
+    The distance is -inf where a sampler returns directions alone; it sets no other attribute.
 
     Attributes:
         distance: of the point from the receiver, local units.
-        cell: index of the cell that the point is in: of the light field, or of the light inside.
+        cell: index of the cell of the point: of the light field, of the light inside, or, for
+            straight light, of the cluster of emitters.
         pmf: probability with which this cell is sampled.
         place: `OUTSIDE`, `INSIDE` or `STRAIGHT`.
         bins: bin of the cell towards the receiver.
-        factor: on the point's light, for the points that it was chosen of.
+        factor: on the point's light: it makes the chosen point stand for all candidates.
         light: straight light of the point, over the density with which it is sampled.
         total: estimate of the light of all points that the receiver may get, for the choice between
             bent and straight light.
@@ -85,7 +85,7 @@ def resample(choice: mi.Float, light: mi.Float, total: mi.Float) -> tuple[mi.Boo
     Args:
         choice: number in [0, 1).
         light: weight of the candidate.
-        total: of it and of those before.
+        total: weight of this candidate and of all before.
 
     Returns:
         With it a new number in [0, 1).

@@ -161,7 +161,7 @@ def _run(
         field, max_radiance = _empty_field(config, source), float(saved["max_radiance"])
         refiner = Refiner(field, source, max_radiance, config.refine, config.split)
         refiner.restore(saved)
-        # Not the field as it is: the bake would not have kept it here.
+        # The best field that was saved: an uninterrupted bake would not have kept the current one.
         best = field.with_leaves(*(saved[f"best_{name}"] for name in LEAVES))
     held_out = HeldOut.trace(source, max_radiance, config.held_out)
     descent = Descent(refiner, best, source, max_radiance, held_out, budget, config, checkpoint)
