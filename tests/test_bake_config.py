@@ -72,6 +72,12 @@ def test_a_budget_of_rays_replaces_that_of_time(tmp_path):
         ("[octree.refine]\nray = 1", "unknown key 'octree.refine.ray'"),
         ("[octree.refine]\nrays = 17", "rays is 17; expected a multiple of 16"),
         ("octree = 3", "octree is '3'; expected a table"),
+        ("method = ['octree']", "bake.toml: method is \"['octree']\"; expected 'octree' or"),
+        ("[octree]\ntree_depth = 5", "octree: for the radiance field, which is not made"),
+        ("parts = ['field']\n[light]\npaths = 9", "light: not used for bulbs; leave it out"),
+        ("[network]\nviews = 9", "network: not used for bulbs; leave it out"),
+        ("parts = ['field']\n[octree.views]\nhull_level = 5", "octree.views: not used for bulbs"),
+        ("method = 'network'\n[octree]\ntree_depth = 5", "octree: not used for bulbs"),
     ],
 )
 def test_files_that_are_wrong_are_refused(folder, capsys, text, message):
@@ -93,6 +99,31 @@ def test_a_command_writes_a_file(folder, capsys, method):
     tomllib.loads(text)
 
 
+def test_a_method_that_is_given_replaces_the_method_of_a_file(tmp_path):
+    assert read("method = 'network'", tmp_path / "a.toml", method="octree") == BakeConfig()
+
+
+def test_a_written_file_has_no_other_settings(folder, capsys):
+    assert main(["bake", "--write-config", "bake.toml", "--time", "9"]) == 2
+    assert "time: not written by --write-config" in capsys.readouterr().err
+    assert list(folder.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"config": "high"}, "config is 'high'; expected an object of BakeConfig"),
+        ({"config": OctreeConfig()}, "expected an object of BakeConfig"),
+        ({"quality": ["high"]}, r"is \['high'\]; expected preview"),
+        ({"parts": 3}, "parts are 3; expected a list of texts"),
+        ({"lumens": True}, "lumens is True; expected"),
+    ],
+)
+def test_arguments_of_other_types_are_refused(arguments, message):
+    with pytest.raises(lumitree.LumitreeError, match=message):
+        lumitree.bake("bulbs", **arguments)
+
+
 def test_settings_out_of_range_are_refused_when_they_are_made():
     literal = dataclasses.replace(NetworkConfig().train, emission_weights="literal")
     for make, message in (
@@ -101,6 +132,7 @@ def test_settings_out_of_range_are_refused_when_they_are_made():
         (lambda: BakeConfig(lumens=0.0), "lumens is 0"),
         (lambda: BakeConfig(seed=-1), "seed is -1"),
         (lambda: NetworkConfig(views=0), "views is 0"),
+        (lambda: BakeConfig(octree={"tree_depth": 7}), "expected an object of OctreeConfig"),
         (lambda: NetworkConfig(train=literal), "expected decrease"),
     ):
         with pytest.raises(lumitree.LumitreeError, match=message):

@@ -92,7 +92,8 @@ def _parsed(arguments: list[str]) -> tuple[str, Given] | None:
         return parser(join_groups(name, arguments), exit_on_error=False, print_error=False)
     except CycloptsError as error:
         of = f" {name}" if name in COMMANDS else ""
-        text = " ".join(str(error).split()).rstrip(".")
+        # cyclopts also lists the first of the commands.
+        text = " ".join(str(error).split()).partition(" Available commands:")[0].rstrip(".")
         raise LumitreeError(f"{text}; see 'lumitree{of} --help'") from None
 
 

@@ -240,26 +240,38 @@ def _places(given: Given) -> list[Any]:
     return (lumitree.read_placements(file) if file else []) + _grouped("place", given)
 
 
+# Options of `bake` that are settings of `BakeConfig`.
+_SETTINGS = ("quality", "method", "parts", "time", "rays", "lumens", "temperature", "seed")
+
+
 def _bake(given: Given) -> Any:
-    from lumitree.cli.config_file import read_config, write_config
+    from lumitree.cli.config_file import read_config, refuse_unused, write_config
     from lumitree.fit.config import chosen_config
 
     given = dict(given)
     names = given.pop("source", ())
     if (written := given.get("write_config")) is not None:
+        further = given.keys() - {"write_config", "quality", "method", "output", "json"}
+        if further:
+            raise LumitreeError(
+                f"{', '.join(sorted(further))}: not written by --write-config; leave it out"
+            )
         return write_config(written, given.get("quality"), given.get("method"))
     output = given.get("output")
     if not names or output is None:
         missing = "--output" if names else "SOURCE"
         raise LumitreeError(f"{missing} is needed; see 'lumitree bake --help'")
-    task = given.pop("task", None)
+    task, keys = given.pop("task", None), []
     if (file := given.pop("config", None)) is not None:
-        given["config"], further = read_config(
+        given["config"], further, keys = read_config(
             file, given.pop("quality", None), given.pop("method", None)
         )
         given = further | given
     reading = {name: given.pop(name) for name in _READING if name in given}
     sources = [_titled(name, reading) for name in listed(names)]
+    settings = {name: given[name] for name in ("config", *_SETTINGS) if name in given}
+    config = chosen_config(**settings)
+    refuse_unused(keys, config, sources)
     if len(sources) == 1 and not output.endswith(("/", os.sep)):
         (source,) = sources
         for extra, name in ((task, "--task"), (source.title, f"{shown(source.title)}=")):
@@ -276,12 +288,9 @@ def _bake(given: Given) -> Any:
         )
     if "work" in given:
         raise LumitreeError("work: for one luminaire at a time; leave it out")
-    of_call = {
-        name: given.pop(name) for name in ("variant", "workers", "scheduler") if name in given
-    }
-    del given["output"]
-    given.pop("json", None)
-    config = chosen_config(given.pop("config", None), **given)
+    # For one source, `bake` refuses them.
+    refuse_unused([name for name in settings if name not in keys], config, sources)
+    of_call = {name: given[name] for name in ("variant", "workers", "scheduler") if name in given}
     return call("bake_many", of_call | {"task": task}, sources, output, config)
 
 

@@ -22,7 +22,7 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from lumitree.errors import LumitreeError
+from lumitree.errors import LumitreeError, shown
 
 NEEDED = inspect.Parameter.empty
 _KINDS = (inspect.Parameter.KEYWORD_ONLY, inspect.Parameter.POSITIONAL_ONLY)
@@ -32,6 +32,11 @@ _SECTIONS = r"^(?:Args|Attributes|Returns|Raises|Example):\n"
 BUILTIN_NAMES = ("arc", "bulbs", "cluster", "dallas", "neoclassical", "portica", "star")
 _FILES = (".xml", ".obj", ".gltf", ".glb", ".lumitree", ".ies", ".ldt", ".gldf", ".tm33", ".ray")
 _PLAIN = {"bool": bool, "int": int, "float": float, "str": str}
+# How a value is written, after the help of the parameter of Python.
+_WRITTEN = {
+    "parts": " Separated by commas, such as light,field; or all.",
+    "time": " Such as 90, 90s, 5m or 1.5h.",
+}
 # Names of what a command writes.
 OUTPUTS = ("output", "json", "layers", "aov", "luminance")
 
@@ -62,7 +67,7 @@ def options_of(name: str) -> dict[str, Option]:
         if (kind := _option_type(parameter, annotation, module)) is not None:
             options[parameter] = Option(
                 kind,
-                meanings.get(parameter, ""),
+                meanings.get(parameter, "") + _WRITTEN.get(parameter, ""),
                 NEEDED if default is None else _value(default, module),
                 positional=default is None and parameter != "output",
             )
@@ -87,7 +92,10 @@ def with_signature(
             if each.positional
             else inspect.Parameter.KEYWORD_ONLY,
             default=each.default,
-            annotation=Annotated[each.type, Parameter(help=each.help)],
+            annotation=Annotated[
+                Annotated[int, Parameter(converter=whole)] if each.type is int else each.type,
+                Parameter(help=each.help, show_default=each.default not in (None, ())),
+            ],
         )
         for name, each in ordered
     ]
@@ -232,6 +240,17 @@ def lamps(context: Any) -> list[str]:
 def one(read: Callable[[str], Any]) -> Callable[[Any, Sequence[Any]], Any]:
     """A converter for cyclopts of one text."""
     return lambda _, tokens: read(tokens[0].value)
+
+
+def whole(_: Any, tokens: Sequence[Any]) -> int:
+    """A converter for cyclopts of a whole number: its own rounds numbers such as 1.5."""
+    (token,) = tokens
+    try:
+        return int(token.value)
+    except ValueError:
+        raise LumitreeError(
+            f"{token.keyword} is {shown(repr(token.value), 60)}; expected a whole number"
+        ) from None
 
 
 def each_text(_: Any, tokens: Sequence[Any]) -> list[str]:

@@ -29,7 +29,8 @@ def check_range(name: str, value: float, low: float, high: float, unit: str = ""
         name: name of the option, for the message.
         unit: unit of the number, for the message.
     """
-    if not (isinstance(value, int | float) and low <= value <= high):
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not (number and low <= value <= high):
         expected = f"expected {low:,} to {high:,}{unit and ' ' + unit}"
         raise LumitreeError(f"{name} is {_number(value)}; {expected}")
 
@@ -59,13 +60,14 @@ def check_items(name: str, values: object, kind: type) -> None:
 
 def check_choice(name: str, value: str, choices: Collection[str]) -> None:
     """Refuse a name that is not among the choices."""
-    if value not in choices:
+    # A list is in no dictionary, and no error either.
+    if value not in tuple(choices):
         raise LumitreeError(f"{name} is {shown(repr(value), 60)}; expected {', '.join(choices)}")
 
 
 def check_choices(name: str, values: Collection[str], choices: Collection[str]) -> None:
     """Refuse names that are not among the choices, and one text in place of several."""
-    if isinstance(values, str):
+    if isinstance(values, str) or not isinstance(values, Collection):
         raise LumitreeError(f"{name}s are {shown(repr(values), 60)}; expected a list of texts")
     for value in values:
         check_choice(name, value, choices)

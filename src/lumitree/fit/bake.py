@@ -135,12 +135,13 @@ def bake(
     check_executor(executor)
     kind = source_kind(source)
     workers = {"executor": executor}
+    network = {"method": "network"} if config.method == "network" else {}
     if kind == "photometric":
         _check_parts(config, source, kind, "light")
-        _refuse(fit | workers | chosen | {"seed": seed}, source, kind)
+        _refuse(fit | workers | chosen | network | {"seed": seed, "work": work}, source, kind)
     elif kind == "dataset":
         _check_parts(config, source, kind, "field")
-        _refuse(workers | {"method": method}, source, kind)
+        _refuse(workers | {"method": method} | network, source, kind)
     elif config.method == "network":
         _refuse_given(fit, "of the method octree; leave it out")
     else:

@@ -18,7 +18,7 @@ from lumitree.core.arguments import (
     check_light,
 )
 from lumitree.core.seeds import check_seed
-from lumitree.errors import LumitreeError
+from lumitree.errors import LumitreeError, shown
 from lumitree.fit.network.config import TrainConfig
 from lumitree.fit.octree.config import EstimateConfig, OctreeConfig, RefineConfig
 from lumitree.lamp.dataset import MAX_VIEWS
@@ -119,6 +119,8 @@ class BakeConfig:
     network: NetworkConfig = dataclasses.field(default_factory=NetworkConfig)
 
     def __post_init__(self) -> None:
+        for name, kind in _GROUPS.items():
+            _check_kind(name, getattr(self, name), kind)
         check_choice("method", self.method, get_args(Method))
         if self.parts is not None:
             check_choices("part", self.parts, PARTS)
@@ -190,6 +192,17 @@ class BakeConfig:
         return BakeConfig()
 
 
+_GROUPS = {"light": LightFieldConfig, "octree": OctreeConfig, "network": NetworkConfig}
+
+
+def _check_kind(name: str, value: object, kind: type) -> None:
+    """Refuse settings that are no object of their class."""
+    if not isinstance(value, kind):
+        raise LumitreeError(
+            f"{name} is {shown(repr(value), 60)}; expected an object of {kind.__name__}"
+        )
+
+
 def chosen_config(
     config: BakeConfig | None = None,
     *,
@@ -213,6 +226,7 @@ def chosen_config(
     elif quality is not None or method is not None:
         given = "method" if quality is None else "quality"
         raise LumitreeError(f"config and {given} are given; leave one of them out")
+    _check_kind("config", config, BakeConfig)
     octree = config.octree
     if time is not None or rays is not None:
         octree = dataclasses.replace(octree, time=time, rays=octree.rays if rays is None else rays)

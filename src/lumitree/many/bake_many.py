@@ -23,7 +23,7 @@ from lumitree.core.progress import progress as progress_of
 from lumitree.core.results import Stopwatch
 from lumitree.errors import LumitreeError, shown
 from lumitree.fit.bake import bake
-from lumitree.fit.config import BakeConfig
+from lumitree.fit.config import BakeConfig, chosen_config
 from lumitree.fit.finishing import work_folder_of
 from lumitree.formats.photometric_file import read_again
 from lumitree.lamp.builtin import BUILTIN
@@ -101,7 +101,7 @@ def bake_many(
     if task is not None:
         number, count = _part(task)
         named = dict(list(named.items())[number - 1 :: count])
-    config = BakeConfig.of() if config is None else config
+    config = chosen_config(config)
     if config.method == "network":
         raise LumitreeError("method network: for one luminaire at a time; bake each by itself")
     jobs = [_Job(root, name, each, config, variant) for name, each in named.items()]
