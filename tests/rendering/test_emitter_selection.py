@@ -178,6 +178,7 @@ def test_emitters_of_a_mixed_scene(mi):
     """χ² of those that are no lamps; and p is what rays of the BSDF get for the same receiver."""
     import drjit as dr
 
+    from lumitree.rendering.emitter import lamp_of
     from lumitree.rendering.integrator import EmitterSelection, LampChoices
 
     scene = room(mi, **lamps([make_asset("light")]), **others(mi))
@@ -191,7 +192,7 @@ def test_emitters_of_a_mixed_scene(mi):
     found = selection.sample(si, mi.Vector3f(0, 1, 0), none, sampler, active)
     index, weight, pmf = (np.array(each) for each in (found.index, found.weight, found.emitter_pmf))
     emitters = scene.emitters()
-    lamp = np.array([hasattr(emitter, "placed") for emitter in emitters])
+    lamp = np.array([lamp_of(emitter) is not None for emitter in emitters])
     it = dr.zeros(mi.Interaction3f, len(emitters))
     it.p = mi.Point3f(0.3, -0.5, 0.4)
     expected = np.array(selection.pmf(scene.emitters_dr(), it))

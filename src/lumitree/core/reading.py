@@ -301,8 +301,9 @@ def expect(what: str, condition: Any, message: str) -> None:
 def expect_range(
     what: str, name: str, value: object, kind: type[int] | type[float], low: float, high: float
 ) -> None:
-    """Refuse `what` unless a member of it is a number of a kind in a range."""
-    known = isinstance(value, kind) and not isinstance(value, bool) and low <= value <= high
+    """Refuse `what` unless a member of it is a number of a kind in a range. An int is a float."""
+    kinds = (int, float) if kind is float else (int,)
+    known = isinstance(value, kinds) and not isinstance(value, bool) and low <= value <= high
     expect(what, known, f"{name} {value!r}, expected {low:g} to {high:g}")
 
 
