@@ -143,7 +143,7 @@ BROKEN = [
     *(
         (light, {"scale": value}, "scale")
         for light in (FIELD, INSIDE)
-        for value in (0.0, 9e-16, 2e15, -1.0, float("nan"), float("inf"), 1)
+        for value in (0.0, 9e-16, 2e15, -1.0, float("nan"), float("inf"), True)
     ),
     (FIELD, NO_CELLS, "0 cells of 16 bins"),
     (FIELD, {"lit": DARK, **both(FIELD.intensity[FIRST:])}, "a cell emits nothing"),

@@ -36,7 +36,7 @@ def read_config(
 
     Returns:
         The settings; the arguments `work` and `variant` of `bake` that the file has; and the keys
-        of the file, with those of its tables after a dot.
+        of the file, with the keys of its tables after a dot.
 
     Raises:
         LumitreeError: a key is unknown, or a value is of the wrong type or out of range; it names
@@ -61,7 +61,7 @@ def read_config(
 
 
 def _names(values: dict[str, Any]) -> list[str]:
-    """The keys of a table, and those of tables in it after a dot."""
+    """The keys of a table, and the keys of tables in it after a dot."""
     tables = {key: value for key, value in values.items() if isinstance(value, dict)}
     return [*values, *(f"{key}.{each}" for key, table in tables.items() for each in table)]
 
