@@ -17,7 +17,7 @@ SOURCE = ROOT / "src/lumitree"
 LINES = {
     "": 400,
     "asset": 2_900,
-    "cli": 1_650,
+    "cli": 1_700,
     "core": 4_900,
     "exports": 3_600,
     "fit": 5_900,

@@ -36,7 +36,7 @@ def look_up(levels, bits, depth, cell):
     return entry, below
 
 
-@pytest.mark.parametrize("depth", [1, 2, 3, 6, 7])
+@pytest.mark.parametrize("depth", [1, 2, 3, 6, pytest.param(7, marks=pytest.mark.slow)])
 def test_every_cell_names_its_leaf_or_an_empty_cube(depth):
     asset = random_asset(5, tree_depth=depth)
     grid = leaf_grid(asset)

@@ -58,7 +58,7 @@ def lamp(mi):
     ("coordinate", "scale", "tolerance"),
     [
         slow(0, 1e-3, 0),
-        (0, 1e3, 0),
+        slow(0, 1e3, 0),
         slow(1e3, 1, 0),
         slow(3e3, 1, 0),
         slow(1e4, 1, 0.003),

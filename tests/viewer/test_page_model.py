@@ -102,6 +102,7 @@ def test_numbers_are_those_of_the_material():
     assert not surface(Dielectric()).between_media
 
 
+@pytest.mark.slow
 def test_codes_are_those_of_the_triangles():
     from lumitree.exports.surfaces import geometry_meshes, meshed
     from lumitree.viewer.model import page_model
