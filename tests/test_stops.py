@@ -13,6 +13,7 @@ import pytest
 
 import lumitree
 from lumitree.cli import main
+from lumitree.core import checkpoint
 from lumitree.core.files import MARKER, atomic_path
 from support import tiny_bakes
 from support.fields import random_asset
@@ -112,6 +113,12 @@ def steps(monkeypatch):
     return done
 
 
+def save_often(monkeypatch):
+    """A checkpoint after each step."""
+    monkeypatch.setattr(checkpoint, "_SECONDS", 0.0)
+    monkeypatch.setattr(checkpoint, "_MOST_TIME", np.inf)
+
+
 def die(*_, **__):
     """As good as a kill: nothing of lumitree's handles it."""
     raise ZeroDivisionError
@@ -122,8 +129,6 @@ def run_out_of_disk(*_, **__):
 
 
 UNFINISHED = [f"out/lamp.work/{name}" for name in (MARKER, "light.npz", "octree.npz")]
-# Of a light field that could not be saved.
-UNSAVED = [UNFINISHED[0], UNFINISHED[2]]
 
 
 def test_a_stopped_bake_writes_its_best_and_continues(tiny, steps, capfd):
@@ -142,8 +147,8 @@ def test_a_stopped_bake_writes_its_best_and_continues(tiny, steps, capfd):
 
 @pytest.mark.slow
 def test_a_killed_bake_repeats_one_step_and_gives_the_same_bytes(tiny, steps, monkeypatch):
-    often = {"save_seconds": 0.0, "save_time_factor": 0.0}
-    tiny_bakes.set_qualities(monkeypatch.setattr, rays=1 << 18, schedule=often)
+    tiny_bakes.set_qualities(monkeypatch.setattr, rays=1 << 18)
+    save_often(monkeypatch)
     assert main([*BAKE[:-1], "whole.lumitree"]) == 0
     done = list(steps)
     steps.clear()
@@ -161,16 +166,15 @@ def test_a_killed_bake_repeats_one_step_and_gives_the_same_bytes(tiny, steps, mo
 def test_a_full_work_disk_is_warned_of_once_and_the_bake_goes_on(
     tiny, steps, monkeypatch, capsys, command
 ):
-    often = {"save_seconds": 0.0, "save_time_factor": 0.0}
-    tiny_bakes.set_qualities(monkeypatch.setattr, schedule=often)
+    save_often(monkeypatch)
     monkeypatch.setattr(np, "savez", run_out_of_disk)
     assert main([*command, *work(command, "full")]) == 0
     err = capsys.readouterr().err
-    assert err.count("No space left on device") == 1
-    assert "the bake goes on" in err
+    # Once for each checkpoint: of the light field and of the octree fit.
+    assert err.count("No space left on device") == (2 if command is BAKE else 1)
+    assert "it goes on" in err
     assert len(steps) > 5
-    kept = [f"full/{MARKER}", "full/light.npz"] if command is BAKE else []
-    assert left() == [*kept, "out/lamp.lumitree"]
+    assert left() == ["out/lamp.lumitree"]
 
 
 @pytest.mark.slow
@@ -179,10 +183,9 @@ def test_a_full_disk_at_the_end_loses_no_work(tiny, steps, monkeypatch, capsys):
         patch.setattr("safetensors.numpy.save", run_out_of_disk)
         assert main(list(BAKE)) == 2
     err = capsys.readouterr().err
-    assert "cannot save the light field" in err
     assert "cannot write out/lamp.lumitree: No space left on device" in err
     done = list(steps)
-    assert left() == UNSAVED
+    assert left() == UNFINISHED
     assert main(list(BAKE)) == 0
     assert steps == done
     assert left() == ["out/lamp.lumitree"]
