@@ -22,7 +22,7 @@ def steps(dataset, count=3):
     graph, state = initial_state(TINY, rays.typical_part)
     start = jax.tree.map(np.array, jax.tree.leaves(state.params))
     state, occupancy = jax.device_put((state, occupancy), state_sharding(TINY))
-    batches = [rays.draw(TINY.seed, index, TINY.rays_per_batch) for index in range(count)]
+    batches = [rays.draw(0, index, TINY.rays_per_batch) for index in range(count)]
     step = make_step(TINY, graph, rays.max_radiance).lower(state, batches[0], occupancy).compile()
     for batch in batches:
         state, _, _ = step(state, batch, occupancy)
