@@ -230,7 +230,7 @@ NAMES = ["state.npz", "dataset/view_*.exr", "run/checkpoints/[0-9]*"]
 
 
 def fill(folder):
-    """What lumitree writes."""
+    """Files that lumitree writes."""
     for name in ("state.npz", "dataset/view_1.exr", "run/checkpoints/10/item/data"):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text("x")
@@ -362,13 +362,13 @@ with atomic_path(sys.argv[1]) as temporary, scratch_folder() as folder:
 
 
 def test_files_and_folders_of_killed_processes_are_removed(tmp_path, monkeypatch):
-    """And nothing else: neither those of a living process nor others of like names."""
+    """And nothing else: neither folders of a living process nor folders with similar names."""
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "tmp"))
     others = [".a.lumitree-notes.txt", ".b.lumitree-12345678.txt", "tmp/lumitree-scratch-mine/a"]
     for other in others:
         (tmp_path / other).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / other).write_text("mine")
-    # Of a process that was killed before it locked its folder.
+    # A process was killed before it locked this folder.
     (tmp_path / "tmp" / "lumitree-scratch-00000000").mkdir()
     command = [sys.executable, "-c", KILLED, str(tmp_path / "a.txt")]
     environment = os.environ | {"TMPDIR": str(tmp_path / "tmp")}

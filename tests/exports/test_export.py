@@ -1,4 +1,4 @@
-"""What all targets of `lumitree export` have in common, units of length, and the extension."""
+"""Rules for all targets of `lumitree export`, units of length, and the extension."""
 
 import dataclasses
 import os

@@ -9,7 +9,7 @@ from benchmarks.cycles.room import CAMERA, DIFFUSE_BOUNCES, WALLS, mitsuba_walls
 
 REGIONS = ("floor", "ceiling", "back", "left", "right")
 LAMP_CENTRE = (0.0, 1.5, 0.0)
-# Of a path: the first surface, the diffuse bounces, and the light.
+# Vertices of a path: the first surface, the diffuse bounces, and the light.
 PATH_DEPTH = DIFFUSE_BOUNCES + 2
 
 
@@ -68,7 +68,3 @@ def region_masks(width: int, height: int, half: NDArray[np.float64]) -> dict[str
         on = np.abs((hit - centre) @ (normal / np.linalg.norm(normal))) < 1e-9
         masks[name] = on & clear & ~lamp
     return masks
-
-
-def _edges(name: str) -> tuple[list[float], list[float]]:
-    return WALLS[name]["first"], WALLS[name]["second"]

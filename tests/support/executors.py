@@ -89,10 +89,6 @@ def fail_to_write(path):
     raise WriteError(Path(path), OSError(28, "No space left on device"))
 
 
-def fail_unexpectedly(value):
-    raise ZeroDivisionError(value)
-
-
 def kill_itself(value):
     if value == 2:
         os.kill(os.getpid(), signal.SIGKILL)

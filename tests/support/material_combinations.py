@@ -67,7 +67,7 @@ def values(kind):
 
 
 def nested(plugin):
-    """What a plugin may modify, alone and in pairs."""
+    """BSDFs that each modifying plugin may contain, alone and in pairs."""
     alone = (DIFFUSE, GLASS, METAL, Principled(spec_trans=0.5))
     layers = (Mask(nested=(METAL,)), TwoSided(nested=(DIFFUSE,)))
     for count in plugin.num_nested:

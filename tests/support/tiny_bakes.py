@@ -40,7 +40,7 @@ def bake_config(**options):
     """Settings of a bake of all parts in seconds, about four million rays and paths in all.
 
     Args:
-        options: other settings of the bake, and those of the octree fit, as for `octree_config`.
+        options: other settings of the bake, and settings of the octree fit, as for `octree_config`.
     """
     of_octree = {each.name for each in dataclasses.fields(OctreeConfig)} & set(options)
     octree = octree_config(**{name: options.pop(name) for name in of_octree})
@@ -52,7 +52,7 @@ def octree_config(**options):
     """The octree fit of `bake_config`.
 
     Args:
-        options: other settings; those of a group, as `refine`, are a dictionary of some of them.
+        options: other settings; a group, such as `refine`, is a dictionary of some of its settings.
     """
     settings = {
         name: dataclasses.replace(getattr(GROUPS, name), **value)

@@ -1,7 +1,7 @@
 """TOML files of the settings of a bake: a key is the name of a field, a table a group of fields."""
 
 import dataclasses
-import re
+import inspect
 import sys
 import textwrap
 import warnings
@@ -9,6 +9,7 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
+from lumitree.cli.signatures import meanings
 from lumitree.core.toml_file import converted, read_toml
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.fit.config import BakeConfig, Method, Quality
@@ -139,7 +140,7 @@ def config_text(config: Any) -> str:
 
 
 def _lines(config: Any, name: str) -> list[str]:
-    meanings = _meanings(type(config))
+    helps = meanings(inspect.getdoc(type(config)) or "")
     fields = dataclasses.fields(config)
     groups = [each.name for each in fields if dataclasses.is_dataclass(getattr(config, each.name))]
     lines = []
@@ -148,27 +149,16 @@ def _lines(config: Any, name: str) -> list[str]:
         lines += ["", f"# {summary}", f"[{name}]"]
     for field in fields:
         if field.name not in groups:
-            meaning = meanings.get(field.name, "")
+            meaning = helps.get(field.name, "")
             if (limits := field.metadata.get("limits")) is not None:
                 low, high = (f"{x:,}" if isinstance(x, int) else f"{x:g}" for x in limits)
                 meaning += f" From {low} to {high}."
-            lines += ["", *_comment(meaning)] if meaning else []
+            comment = textwrap.wrap(meaning, _WIDTH, initial_indent="# ", subsequent_indent="# ")
+            lines += ["", *comment] if meaning else []
             lines.append(f"#{field.name} = {_shown(getattr(config, field.name))}")
     for group in groups:
         lines += _lines(getattr(config, group), f"{name}.{group}" if name else group)
     return lines
-
-
-def _meanings(kind: type) -> dict[str, str]:
-    """Descriptions of the fields of a dataclass, from its docstring."""
-    section = (kind.__doc__ or "").partition("Attributes:\n")[2].partition("\n\n")[0]
-    entries = re.findall(r"^ {8}(\w[\w, ]*):((?:.*\n?)(?: {12}.*\n?)*)", section, re.MULTILINE)
-    return {name: " ".join(meant.split()) for names, meant in entries for name in names.split(", ")}
-
-
-def _comment(meaning: str) -> list[str]:
-    meaning = meaning[0].upper() + meaning[1:]
-    return textwrap.wrap(meaning, _WIDTH, initial_indent="# ", subsequent_indent="# ")
 
 
 def _shown(value: Any) -> str:

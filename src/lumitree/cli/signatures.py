@@ -61,13 +61,13 @@ def described(name: str) -> tuple[str, str]:
 def options_of(name: str) -> dict[str, Option]:
     """The parameters of a public function, or the fields of a dataclass, that can be options."""
     module, found = _public()[name], _definition(name)
-    meanings = _meanings(ast.get_docstring(found) or "")
+    helps = meanings(ast.get_docstring(found) or "")
     options = {}
     for parameter, annotation, default in _parameters(found):
         if (kind := _option_type(parameter, annotation, module)) is not None:
             options[parameter] = Option(
                 kind,
-                meanings.get(parameter, "") + _WRITTEN.get(parameter, ""),
+                helps.get(parameter, "") + _WRITTEN.get(parameter, ""),
                 NEEDED if default is None else _value(default, module),
                 positional=default is None and parameter != "output",
             )
@@ -151,8 +151,8 @@ def _parameters(
         yield argument.arg, argument.annotation, default
 
 
-def _meanings(doc: str) -> dict[str, str]:
-    """Descriptions of parameters or fields, from a docstring."""
+def meanings(doc: str) -> dict[str, str]:
+    """Descriptions of parameters or fields, from a docstring without indentation."""
     section = re.split(r"^(?:Args|Attributes):\n", doc, maxsplit=1, flags=re.M)[-1]
     section = section.partition("\n\n")[0]
     entries = re.findall(r"^ {4}(\w[\w, ]*):((?:.*\n?)(?: {8}.*\n?)*)", section, re.M)

@@ -146,14 +146,6 @@ def interpolated(values: NDArray[Any], direction: NDArray[Any]) -> NDArray[np.fl
     return (values[bins] * weights).sum(axis=1)
 
 
-def bin_density(direction: Any, resolution: int) -> Any:
-    """Density per steradian of `direction_in_bin`, given the bin, if edges are not bevelled.
-
-    Area on the octahedron and solid angle differ by the cube of the distance from the origin.
-    """
-    return (resolution**2 / 4) / dr.sum(dr.abs(direction)) ** 3
-
-
 @functools.lru_cache(maxsize=8)
 def solid_angles(resolution: int) -> NDArray[np.float64]:
     """Solid angle [R²] of each bin, sr, if directions between the middles of bins share in them.

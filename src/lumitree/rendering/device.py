@@ -6,6 +6,7 @@ import drjit as dr
 import mitsuba as mi
 
 from lumitree.asset.asset import Asset
+from lumitree.asset.light_field import LightField
 from lumitree.core.device import shared
 from lumitree.octree.field import COARSE_DEPTH, Field, coarsened, shared_field
 from lumitree.rendering.device_light import DeviceLight, InsideLight
@@ -81,11 +82,14 @@ class DeviceAsset:
         """The light field, or its bent light, with levels, as `lumitree_path` samples it."""
         return self._light(bent=bent, levels=True)
 
+    def _light_field(self, bent: bool) -> LightField:
+        field = self.asset.light_field
+        assert field is not None
+        return field.bent_light if bent else field
+
     def _light(self, *, bent: bool, levels: bool) -> DeviceLight:
         def make() -> DeviceLight:
-            asset, field = self.asset, self.asset.light_field
-            assert field is not None
-            field = field.bent_light if bent else field
+            asset, field = self.asset, self._light_field(bent)
             return DeviceLight(field, asset.frame.half_extents, asset.light_factors, levels=levels)
 
         return shared(self.asset, ("light", bent, levels), make)
@@ -94,9 +98,7 @@ class DeviceAsset:
         """As `stored_light`, for receivers inside the box."""
 
         def make() -> InsideLight:
-            asset, field = self.asset, self.asset.light_field
-            assert field is not None
-            field = field.bent_light if bent else field
+            asset, field = self.asset, self._light_field(bent)
             outside = self.stored_light(bent)
             return InsideLight(field, asset.frame.half_extents, outside, asset.light_factors)
 
