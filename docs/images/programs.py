@@ -252,6 +252,7 @@ PROGRAMS = (
 def main(asset_path: str, kept: Path) -> None:
     import lumitree
     from lumitree.rendering.drawing import write_strip
+    from lumitree.rendering.photograph import PhotoSettings, ev_of_white
 
     load_mitsuba()
     asset = lumitree.load(asset_path)
@@ -263,10 +264,11 @@ def main(asset_path: str, kept: Path) -> None:
             with tempfile.TemporaryDirectory() as folder:
                 np.save(path, render(asset, scene, Path(folder)))
         panels.append((caption, np.load(path)))
-    exposure = 0.25 * LUMENS / float(np.median(luminance(panels[0][1])))
+    ev = ev_of_white(float(np.median(luminance(panels[0][1]))) / (0.25 * LUMENS))
+    settings = PhotoSettings(exposure=f"ev={ev}", white_balance="off", view="srgb")
     with tempfile.TemporaryDirectory() as folder:
         strip = Path(folder) / "strip.png"
-        write_strip(strip, panels, exposure, columns=3)
+        write_strip(strip, panels, settings, columns=3)
         Image.open(strip).convert("RGB").save(PICTURE, "JPEG", quality=82)
 
 

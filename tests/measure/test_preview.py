@@ -1,5 +1,7 @@
 """The preview's sheet: what is seen from where, its sizes, its labels."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -91,7 +93,7 @@ def test_labels(preview):
         "geometric opacity",
         "straight-through opacity",
     ]
-    facts = f"2 shapes   ·   12 lm   ·   exposure {taken.exposure:.3g} in all views"
+    facts = f"2 shapes   ·   12 lm   ·   EV {taken.ev:.1f} in all views"
     assert {r"a $lamp_{", facts, *VIEWS, *rows} == {*shown}
 
 
@@ -108,4 +110,8 @@ def test_the_brighter_row_brings_what_is_lit_to_middle_grey():
     # 0.01 is to become 0.18: 1000 times the exposure of what emits.
     assert preview.more_stops == 10
     black = Preview({"a": ViewImages(0 * radiance, opacity, opacity)}, [], 1.0)
-    assert (black.exposure, black.more_stops) == (1, 2)
+    assert (black.exposure, black.more_stops) == (pytest.approx(1), 2)
+    darker = dataclasses.replace(preview, exposed=-1.0)
+    assert darker.ev == pytest.approx(preview.ev + 1)
+    assert darker.exposure == pytest.approx(0.45 / 50)
+    assert dataclasses.replace(preview, exposed="ev=3").ev == 3

@@ -113,8 +113,9 @@ def test_mix_changes_the_light_of_one_layer(room, lamps, tmp_path):
     expected = layers["lamp"] * [0, 1, 2] + layers["room"] * 0.5 + layers["room_2"]
     assert mixed.pixels == pytest.approx(expected, abs=1e-5)
     assert mixed.layers == ["lamp", "room", "room_2"]
-    assert mixed.exposure == lumitree.mix(path).exposure
-    assert lumitree.mix(path, exposure=0.25).exposure == 0.25
+    plain = lumitree.mix(path)
+    assert (mixed.ev, mixed.white_balance) == (plain.ev, plain.white_balance)
+    assert lumitree.mix(path, exposure="ev=0.25").ev == 0.25
     with pytest.raises(LumitreeError, match="the image is not made of layers alone"):
         lumitree.mix(layers | {"odd": layers["room"][1:]})
     with pytest.raises(LumitreeError, match=r"no layer 'hall'; it has lamp, room, room_2"):
