@@ -14,7 +14,10 @@ from lumitree.rendering.photograph import (
     white_radiance,
 )
 
-PLAIN = {"white_balance": "off", "view": "srgb"}
+
+def plain(exposure: float | str = 0.0):
+    """Settings without white balance and view transform."""
+    return PhotoSettings(exposure=exposure, white_balance="off", view="srgb")
 
 
 @pytest.fixture
@@ -34,17 +37,17 @@ def test_the_exposure_value_is_absolute(image):
         assert white_radiance(ev) == pytest.approx(grey)
         assert ev_of_white(grey) == pytest.approx(ev)
         image[0, 0] = 0.4 * grey
-        shown = PhotoSettings(exposure=f"ev={ev}", **PLAIN).photograph(image)
+        shown = plain(f"ev={ev}").photograph(image)
         assert shown.ev == ev
         assert (shown.pixels[0, 0] == tonemap(np.full(3, 0.4))).all()
 
 
 def test_a_stop_is_a_factor_of_two(image):
-    automatic = PhotoSettings(**PLAIN).photograph(image)
-    brighter = PhotoSettings(exposure=1.0, **PLAIN).photograph(image)
+    automatic = plain().photograph(image)
+    brighter = plain(1.0).photograph(image)
     assert brighter.ev == pytest.approx(automatic.ev - 1)
-    absolute = PhotoSettings(exposure=f"ev={automatic.ev - 1}", **PLAIN).photograph(image)
-    twice = PhotoSettings(exposure=f"ev={automatic.ev}", **PLAIN).photograph(2 * image)
+    absolute = plain(f"ev={automatic.ev - 1}").photograph(image)
+    twice = plain(f"ev={automatic.ev}").photograph(2 * image)
     for shown in (absolute, twice):
         assert np.array_equal(shown.pixels, brighter.pixels)
 
@@ -84,7 +87,7 @@ def test_automatic_exposure_is_by_blocks_and_ignores_what_is_no_number():
 
 @pytest.mark.parametrize("temperature", [2700.0, 4000.0, 9000.0])
 def test_grey_under_a_lamp_comes_closer_to_grey(mi, temperature):
-    """Automatic: 80 % of the way in XYZ. A number: the whole way."""
+    """Automatic: 70 % of the way in XYZ. A number: the whole way."""
     grey = 0.3 * np.array(blackbody_colour(temperature))
     light = light_on_scene(np.broadcast_to(grey, (16, 16, 3)))
     assert light is not None
@@ -92,7 +95,7 @@ def test_grey_under_a_lamp_comes_closer_to_grey(mi, temperature):
     adapted = light.adaptation() @ grey
     neutral = np.full(3, luminance(grey) / 683)
     assert xyz_from_srgb(adapted) == pytest.approx(
-        xyz_from_srgb(0.8 * neutral + 0.2 * grey), rel=1e-4
+        xyz_from_srgb(0.7 * neutral + 0.3 * grey), rel=1e-4
     )
     given = PhotoSettings(exposure="ev=9", white_balance=temperature, view="srgb")
     pixel = given.photograph(np.full((8, 8, 3), grey)).pixels[0, 0].astype(int)
@@ -100,7 +103,7 @@ def test_grey_under_a_lamp_comes_closer_to_grey(mi, temperature):
 
 
 def test_white_balance_off_changes_nothing(image):
-    shown = PhotoSettings(exposure="ev=5", **PLAIN).photograph(image)
+    shown = plain("ev=5").photograph(image)
     assert np.array_equal(shown.pixels, tonemap(image / white_radiance(5)))
     assert shown.white_balance is None
 

@@ -25,9 +25,10 @@ from lumitree.core.photometry import (
 from lumitree.errors import LumitreeError, shown
 from lumitree.rendering.view_transform import VIEWS, View, displayed
 
-# Log-average luminance of the scene relative to white; and side in pixels of the blocks over which
-# it is averaged: the logarithm of single pixels would measure their noise.
-_KEY, _BLOCK = 0.2, 8
+# Log-average luminance of the scene relative to white. Side in pixels of the blocks over which it
+# is averaged: the logarithm of single pixels would measure their noise. Share of the blocks that is
+# at most so many times as bright as white.
+_KEY, _BLOCK, _BRIGHTEST = 0.36, 8, (0.95, 4.0)
 # Stops above and below the median block beyond which a block is no part of the scene: lamps and
 # windows, and openings into the dark.
 _ABOVE, _BELOW = 4.0, 7.0
@@ -37,7 +38,7 @@ _WHITE = 1.2
 _MAX_STOPS, _MAX_EV = 40.0, 60.0
 # Part of the way to daylight that automatic white balance goes, as eyes and cameras do: warm light
 # stays a little warm. Beyond this Duv light is coloured on purpose; its colour stays.
-_ADAPTATION, _COLOURED = 0.8, (0.02, 0.05)
+_ADAPTATION, _COLOURED = 0.7, (0.02, 0.05)
 # Least albedo by which the light on a surface is known; and see `light_on_scene`.
 _LEAST_ALBEDO, _POWER = 0.05, 4
 _CAT16 = np.array(
@@ -203,7 +204,8 @@ def automatic_ev(radiance: NDArray[np.floating]) -> float:
     scene = means[_of_scene(means)]
     if not scene.size:
         return ev_of_white(1.0)
-    white = np.exp2(np.log2(scene).mean()) / _KEY
+    share, most = _BRIGHTEST
+    white = max(np.exp2(np.log2(scene).mean()) / _KEY, np.quantile(scene, share) / most)
     return float(np.clip(np.log2(white / _WHITE), -_MAX_EV, _MAX_EV))
 
 

@@ -2,15 +2,16 @@
 
 "srgb" clips at 1 and encodes sRGB, for measuring. "agx" is AgX by Troy Sobotka, with the primaries
 of Rec. 2020 as Blender and Filament have it: bright colours approach white slowly and keep their
-hue, and dark ones keep contrast.
+hue, and dark ones keep contrast. Its look is "punchy", without which images are dull.
 """
 
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.images import srgb_from_linear, tonemap
+from lumitree.core.photometry import LUMA
 
 View = Literal["agx", "srgb"]
 VIEWS: tuple[View, ...] = get_args(View)
@@ -45,6 +46,16 @@ _GAMMA = 2.2
 _MOST = 1e6
 
 
+class Look(NamedTuple):
+    """Power of the colours after the curve of AgX, and saturation (ASC CDL)."""
+
+    power: float
+    saturation: float
+
+
+PUNCHY = Look(1.35, 1.4)
+
+
 def displayed(linear: NDArray[np.floating], view: View) -> NDArray[np.uint8]:
     """sRGB bytes [H, W, 3] of linear sRGB [H, W, 3], relative to display white."""
     if view == "srgb":
@@ -52,14 +63,16 @@ def displayed(linear: NDArray[np.floating], view: View) -> NDArray[np.uint8]:
     return np.round(srgb_from_linear(agx(linear)) * 255).astype(np.uint8)
 
 
-def agx(linear: NDArray[np.floating]) -> NDArray[np.float64]:
+def agx(linear: NDArray[np.floating], look: Look = PUNCHY) -> NDArray[np.float64]:
     """Linear sRGB [..., 3] in [0, 1] that AgX shows of linear sRGB [..., 3]."""
     colours = np.nan_to_num(linear, posinf=_MOST, neginf=0.0).clip(-_MOST, _MOST)
     colours = colours.astype(np.float64) @ (_INSET @ _REC2020_FROM_SRGB).T
     low, high = _STOPS
     stops = np.log2(np.maximum(colours, 1e-10) / _GREY)
-    curved = _curve(np.clip((stops - low) / (high - low), 0, 1)) @ _OUTSET.T
-    decoded = np.maximum(curved, 0) ** _GAMMA
+    curved = np.maximum(_curve(np.clip((stops - low) / (high - low), 0, 1)), 0) ** look.power
+    grey = (curved @ np.array(LUMA))[..., None]
+    shown = (grey + look.saturation * (curved - grey)) @ _OUTSET.T
+    decoded = np.maximum(shown, 0) ** _GAMMA
     return np.clip(decoded @ np.linalg.inv(_REC2020_FROM_SRGB).T, 0, 1)
 
 
