@@ -1,5 +1,6 @@
 """Luminous openings: the tables of LM-63, and quadratures against closed forms."""
 
+# pyright: reportCallIssue=false, reportArgumentType=false
 import numpy as np
 import pytest
 

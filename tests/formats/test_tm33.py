@@ -1,5 +1,6 @@
 """IES TM-33 files as lamps, against the intensities that they state."""
 
+# pyright: reportArgumentType=false
 import warnings
 from pathlib import Path
 

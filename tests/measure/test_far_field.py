@@ -1,5 +1,6 @@
 """Measurements of lamps with known intensities, and their errors."""
 
+# pyright: reportOptionalMemberAccess=false
 import dataclasses
 
 import numpy as np

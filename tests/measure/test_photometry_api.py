@@ -1,5 +1,6 @@
 """`lumitree.photometry` and `lumitree photometry`."""
 
+# pyright: reportOptionalMemberAccess=false
 import dataclasses
 import json
 import re
