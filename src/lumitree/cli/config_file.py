@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from lumitree.cli.signatures import meanings
-from lumitree.core.toml_file import converted, read_toml
+from lumitree.core.tables import converted, read_toml
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.fit.config import BakeConfig, Method, Quality
 from lumitree.lamp.source import RAY_SUFFIXES, LuminaireSource, photometric_suffix, source_kind
