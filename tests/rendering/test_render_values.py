@@ -250,7 +250,7 @@ def test_images_state_exposure_and_view(mi, room, tmp_path):
 
 
 def decoded(result):
-    """What the PNG file of an image shows, [H, W, 3]."""
+    """Pixels of the PNG file of an image, [H, W, 3]."""
     import io
 
     from PIL import Image

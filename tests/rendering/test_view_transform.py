@@ -12,7 +12,7 @@ NEEDS_OPENCOLORIO = "the optional dependency filmic is not installed"
 
 
 def test_the_log_average_of_a_room_becomes_the_key():
-    """Of blocks, so that it does not depend on noise; also of images of odd sizes."""
+    """It averages blocks, so that it does not depend on noise; images may have odd sizes."""
     random = np.random.default_rng(0)
     grey = np.full((21, 35, 3), 0.02)
     assert room_exposure(grey) == pytest.approx(0.15 / 0.02)
