@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from lumitree.asset.geometry import ARRAYS, AssetGeometry, Medium, UnitShape
-from lumitree.asset.geometry_file import read_material
 from lumitree.asset.materials import (
     Conductor,
     Dielectric,
     Diffuse,
+    Material,
     MetallicRoughness,
     Principled,
     RoughConductor,
@@ -204,7 +204,7 @@ def plate_below_a_bulb():
         UnitShape(type="sphere", to_world=rows_of(bulb), material=1, radiance=RADIANCE),
         UnitShape(type="rectangle", to_world=rows_of(plate), material=0),
     )
-    materials = (read_material(PLASTIC), Diffuse(reflectance=0.0))
+    materials = (Material.of_table(PLASTIC, "plastic"), Diffuse(reflectance=0.0))
     geometry = small_geometry(shapes=shapes, materials=materials, **NOTHING)
     return with_geometry(geometry, LocalFrame(np.ones(3), np.eye(4)))
 
