@@ -237,7 +237,7 @@ def test_lamps_of_one_kind_share_their_code(mi, monkeypatch, parts):
 
     def separate(self, *args):
         create(self, *args)
-        self._apart = False
+        self._has_instances = False
 
     monkeypatch.setattr(LampKinds, "__init__", separate)
     apart = images(mi, scene, 1, 32)[0]
@@ -250,7 +250,7 @@ def test_gains_of_many_lamps_are_joined_with_their_derivatives(mi):
     """In groups: one kernel of 1,000 arrays takes minutes to compile."""
     import drjit as dr
 
-    from lumitree.rendering.lamps import joined_colours
+    from lumitree.rendering.emitter import joined_colours
 
     colours = [mi.Color3f(index, 2 * index, 3 * index) for index in range(300)]
     dr.enable_grad(colours[170])

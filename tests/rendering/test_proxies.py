@@ -226,25 +226,25 @@ def test_a_divided_scene_follows_its_shapes(mi, lamps):
     assert after.mean() == pytest.approx(expected.mean(), rel=0.01)
 
 
-def test_lamps_have_bits_of_their_own(mi, tmp_path):
-    """Whatever other emitters are between them, as the materials of their geometry are."""
-    from lumitree.rendering.proxies import NONE, Owners, Proxies
+def test_a_ray_keeps_the_lamps_it_has_met(mi):
+    """As many as there are; and each of those whose boxes overlap, so that it may come back."""
+    from lumitree.rendering.proxies import NONE, Owners
 
     nothing = SimpleNamespace(shape_numbers=[], medium_numbers=[])
-    owners = Owners({0: nothing, 32: nothing, 64: nothing, 70: nothing})
-    lamp = on_device(mi.UInt32, np.array([0, 32, 64, 70, NONE]))
-    assert np.array(owners.bit(lamp, mi.Bool(True))).tolist() == [1, 2, 4, 8, 0]
-    lumitree.save(random_asset(5), tmp_path / "lamp.lumitree")
-    shapes = {
-        f"lamp{i}": lumitree.shape(
-            tmp_path / "lamp.lumitree", similarity(np.eye(3), 1, [4 * i, 0, 0])
-        )
-        for i in range(3)
-    }
-    lights = {f"light{i}": {"type": "point", "position": [0, i, 0]} for i in range(5)}
-    scene = mi.load_dict({"type": "scene", "lamp0": shapes["lamp0"], **lights, **shapes})
-    rows = np.array(Proxies(scene.emitters())._rows).reshape(-1, 16)
-    assert rows[:, 14].tolist() == list(range(len(rows)))
+    lamps = dict.fromkeys(range(0, 300, 3), nothing)
+    cases = (
+        ([], [273]),
+        ([(3, 0), (3, 273)], [273, 3]),
+        ([(0, 3), (3, 273), (273, 0)], [0, 3, 273]),
+    )
+    for overlaps, kept in cases:
+        owners = Owners(lamps, overlaps)
+        met = owners.no_lamps()
+        for index in (0, 3, NONE, 273):
+            owners.add(met, mi.UInt32(index), mi.Bool(True))
+        owners.add(met, mi.UInt32(9), mi.Bool(False))
+        assert [np.array(each)[0] for each in met] == kept
+    assert np.array(owners.is_lamp(mi.UInt32([3, 4, 999, NONE]), True)).tolist() == [1, 0, 0, 0]
 
 
 def test_surfaces_are_built_again_only_when_shapes_change(mi, lamps):
