@@ -169,7 +169,7 @@ def test_a_placed_file_has_the_flux_and_the_colour_that_are_asked_for():
     placement = lumitree.Placement("a.ies", size=0.4, lumens=800, temperature=2700)
     assert placement.is_baked
     placed = PlacedLuminaire(placement)
-    watts = asset_watts(placed.asset) * placed.factors
+    watts = asset_watts(placed.asset) * placed.gain
     assert luminance(watts) == pytest.approx(800)
     assert colour_temperature(watts)[0] == pytest.approx(2700, rel=1e-3)
 

@@ -86,12 +86,12 @@ def test_a_wrong_file_gives_one_line_with_file_and_lamp(tmp_path, text, message)
 def test_a_missing_file_and_explicit_geometry_are_refused(tmp_path):
     with pytest.raises(LumitreeError, match="does not exist; expected a TOML file of placements"):
         lumitree.read_placements(tmp_path / "no.toml")
-    for options in ({"lumens": 800}, {"temperature": 2700}):
+    for lumens, temperature in ((800, None), (None, 2700)):
         with pytest.raises(LumitreeError, match="explicit geometry"):
-            lumitree.Placement("bulbs", **options)
-    for options in ({"lumens": -1}, {"lumens": np.nan}, {"temperature": 99}):
+            lumitree.Placement("bulbs", lumens=lumens, temperature=temperature)
+    for lumens, temperature in ((-1, None), (np.nan, None), (None, 99)):
         with pytest.raises(LumitreeError, match="expected"):
-            lumitree.Placement("a.lumitree", **options)
+            lumitree.Placement("a.lumitree", lumens=lumens, temperature=temperature)
 
 
 def placed_flux(mi, placement):

@@ -71,14 +71,14 @@ class PlacedLuminaire:
         self.scene_from_world = scene_from_local @ frame.local_from_world
         self.scene_from_box = scene_from_local @ np.diag([*frame.half_extents, 1])
         # Factors [3] on its light, for its `gain`, `lumens` and `temperature`.
-        self.factors = check_gain(placement.gain)
+        self.gain = check_gain(placement.gain)
         wanted = placement.lumens, placement.temperature
         if self.asset is not None and wanted != (None, None):
             scale = similarity_scale(scene_from_local, "placement") / frame.scale
             grown = 1.0 if self.asset.is_photometric else scale
             watts = asset_watts(self.asset) * (grown * metres) ** 2
             factors = factors_to(watts, *wanted, placement.name)
-            self.factors = check_gain(factors * self.factors)
+            self.gain = check_gain(factors * self.gain)
 
     @property
     def title(self) -> str:
@@ -100,9 +100,7 @@ class PlacedLuminaire:
         if self.luminaire is not None:
             return place_shapes(self.luminaire, self.scene_from_world)
         assert self.asset is not None
-        return {
-            "proxy": shape(self.asset, self.scene_from_world, sampling, self.factors, appearance)
-        }
+        return {"proxy": shape(self.asset, self.scene_from_world, sampling, self.gain, appearance)}
 
 
 def _loaded(placement: Placement, metres: float) -> Luminaire | Asset:
