@@ -97,7 +97,7 @@ def test_directions_have_the_stated_density(mi, resolution):
 
 @pytest.mark.parametrize("resolution", RESOLUTIONS)
 def test_solid_angles(mi, resolution):
-    """They sum to the sphere's, and are those of uniform directions, each with a random offset."""
+    """They sum to 4π; uniform directions fall into each bin in proportion to its solid angle."""
     from lumitree.core.octahedral import bin_of
 
     angles = solid_angles(resolution)
@@ -120,7 +120,7 @@ def test_solid_angles(mi, resolution):
 
 @pytest.mark.parametrize("resolution", RESOLUTIONS)
 def test_solid_angles_of_the_directions_of_bins(mi, resolution):
-    """They are those of uniform directions, and those of four bins that are one."""
+    """Uniform directions fall into single bins, and into groups of four, in proportion to them."""
     from lumitree.core.octahedral import bin_of, coarse_bin
 
     count = 1 << 20
@@ -139,7 +139,7 @@ def test_solid_angles_of_the_directions_of_bins(mi, resolution):
 
 
 def test_directions_that_are_uniform_on_the_map_are_found_where_they_are_from(mi):
-    """Of many places on the map, and by the slower function."""
+    """The slower function finds the place on the map of each direction, for many places."""
     from lumitree.core.octahedral import octahedral
 
     resolution, parts = 8, 6

@@ -37,7 +37,7 @@ def assert_lamp_renders(source):
     load_mitsuba(VARIANT)
     register()
     lamp = load_luminaire(source)
-    # What an asset cannot hold, such as other plugins, is refused here.
+    # Parts that an asset cannot hold, such as other plugins, are refused here.
     with contextlib.suppress(LumitreeError):
         stored_geometry(lamp)
     film = {"type": "hdrfilm", "width": _PIXELS, "height": _PIXELS, "rfilter": {"type": "box"}}

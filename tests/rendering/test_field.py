@@ -120,7 +120,7 @@ def test_empty_asset_is_clear(mi):
 
 
 def test_coefficients_that_are_denormal_in_half_precision_count(mi):
-    """Of either sign, in a kernel that traces rays; which may take denormals for 0."""
+    """Coefficients of either sign count in a kernel that traces rays, which may flush denormals."""
     import lumitree
 
     def rendered(coefficient):

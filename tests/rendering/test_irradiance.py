@@ -85,7 +85,7 @@ def test_two_lamps_are_seen_through_one_another(mi, tmp_path):
     ray = mi.RayDifferential3f(mi.Ray3f(mi.Point3f(0.03, 5, 0.02), mi.Vector3f(0, -1, 0)))
     seen, _, _ = integrator.sample(scene, sampler, ray)
     assert np.array(seen).ravel() == pytest.approx(0.75 * radiance, rel=2e-3)
-    # What the wall gets, by a sum over the directions of the hemisphere.
+    # Irradiance of the wall, by a sum over the directions of the hemisphere.
     point = np.array([0.1, 0.0, 0.05])
     found, error = irradiance(mi, lamps, point.tolist(), [0, 1, 0])
     random = np.random.default_rng(0)

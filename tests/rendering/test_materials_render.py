@@ -1,4 +1,4 @@
-"""What an asset may have, Mitsuba makes, and gives values of that are finite and not negative."""
+"""Mitsuba makes every material of assets, with values that are finite and not negative."""
 
 import dataclasses
 import json

@@ -26,7 +26,7 @@ runpy.run_path(sys.argv[0], run_name="__main__")
 
 
 def run(script, *arguments):
-    """What a script prints, in a process of its own."""
+    """Output of a script that runs in a process of its own."""
     command = [sys.executable, "-c", START, script.parent.parent, script, *arguments]
     result = subprocess.run(list(map(str, command)), capture_output=True, text=True)
     assert result.returncode == 0, result.stderr

@@ -24,7 +24,7 @@ def lamp(mi, tmp_path):
         tmp_path,
         sphere("lit", 0.3, (-0.7, 0, 0), AREA),
         cube("body", (0.3, 0.3, 0.3), (0.7, 0, 0), GREY),
-        # What the sphere sends to the right ends here.
+        # The sphere's light to the right ends here.
         cube("wall", (0.01, 0.4, 0.4), (0, 0, 0), '<bsdf type="diffuse"/>'),
     )
 
@@ -44,7 +44,7 @@ def test_own_light_and_soft_light_are_both_seen(lamp):
     picture = luminaire_photographs(lamp, [POSE], 48, 64, 0.2)[0]
     assert (picture[0] == BACKDROP).all()
     middle = picture[23]
-    # Of radiance 3, 2 and 1, at twice the exposure.
+    # The radiance is 3, 2 and 1, at twice the exposure.
     assert (middle == tonemap(np.array([3, 2, 1]), 0.4)).all(axis=-1).sum() >= 5
     # The side of the cube that faces the camera has two softboxes before it.
     body = middle[30:36].mean()

@@ -1,4 +1,4 @@
-"""What touches the box of a lamp, such as the table below it, gets the light beside it."""
+"""A surface that touches the box of a lamp, such as a table, gets the light beside it."""
 
 import numpy as np
 import pytest
@@ -10,8 +10,8 @@ from support.light_fields import random_light_field
 from support.slow import slow
 
 HALF = np.array([1.0, 0.6, 0.8])
-# Of half the height of the box, by which the table is lower than the box. One that is far higher
-# counts as something in the box.
+# Distance of the table below the box, in units of half the height of the box. A table far higher
+# counts as an object in the box.
 GAPS = [-1.9e-3, slow(-1e-3), -1e-5, slow(-3e-7), 0.0, slow(3e-7), 1e-6, slow(1e-5), slow(1e-3)]
 # Where nothing touches.
 FAR = 5e-3

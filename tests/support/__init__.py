@@ -1,1 +1,1 @@
-"""What tests share: lamps, assets, receivers, damaged files."""
+"""Code that tests share: lamps, assets, receivers, damaged files."""

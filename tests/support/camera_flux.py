@@ -16,13 +16,13 @@ def flux_by_camera_paths(luminaire, num_paths, *, integrator=None, seed=0):
 
     Args:
         num_paths: rounded up to whole batches of 2**20.
-        integrator: the integrator; that of `path_integrator` by default.
+        integrator: the integrator; by default the one that `path_integrator` makes.
     """
     integrator = integrator or path_integrator(luminaire, PATH_DEPTH)
     moments = flux.Moments(4)
     for batch_seed in flux.batch_seeds(num_paths, Purpose.LINES, seed):
         radiance = flux.random_radiance(luminaire, integrator, batch_seed)
         moments.add(np.column_stack([radiance, luminance(radiance)]), flux.BATCH)
-    # Of all rays through the bounding sphere: 4π sr times its cross section, unit².
+    # Measure of all rays through the bounding sphere: 4π sr times its cross section, unit².
     radius = luminaire.bounding_radius * luminaire.frame.scale
     return flux.flux_of(moments, 4 * np.pi * np.pi * radius**2)

@@ -44,7 +44,7 @@ def damaged(text, rng, separators=(b" ",), tokens=()):
 
 
 def refused(read):
-    """Whether it is refused; its messages, and those of its warnings, are short lines."""
+    """Whether it is refused; messages of errors and warnings are short lines."""
     return checked(read) is not None
 
 

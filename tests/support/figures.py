@@ -1,4 +1,4 @@
-"""What is drawn in figures."""
+"""Texts and images of figures."""
 
 import functools
 import io

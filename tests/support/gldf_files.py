@@ -96,7 +96,7 @@ def emitter(name="e", photometry="photometry", lumens="", rest="", attributes=""
 
 
 def in_model(emitters, geometry="geometry"):
-    """The geometry of a variant with a 3D model; names of objects by those of emitters."""
+    """The geometry of a variant with a 3D model; `emitters` are emitters by names of objects."""
     found = "".join(
         f'<EmitterReference emitterId="{each}"><EmitterObjectExternalName>{name}'
         "</EmitterObjectExternalName></EmitterReference>"

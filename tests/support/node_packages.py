@@ -35,7 +35,7 @@ def node_modules(folder: Path) -> Path:
 
 
 def run_node(modules: Path, script: str, *arguments: str) -> str:
-    """What a script of Node prints, which may require packages of a folder."""
+    """Output of a script of Node, which may require packages of a folder."""
     environment = {**os.environ, "NODE_PATH": str(modules)}
     run = subprocess.run(
         ["node", "-e", script, *arguments], capture_output=True, text=True, env=environment

@@ -1,6 +1,6 @@
 """IES files of Types A, B and C, written without the package.
 
-The frame is that of `formats.type_c`: y is up, C = 0 is towards +x, C = 90 towards -z.
+The frame is the same as in `formats.type_c`: y is up, C = 0 is towards +x, C = 90 towards -z.
 """
 
 import numpy as np

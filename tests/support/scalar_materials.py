@@ -27,7 +27,7 @@ from support.material_combinations import (  # noqa: E402
     texture,
 )
 
-# Of rounding, relative to the largest value.
+# Errors of rounding, relative to the largest value.
 ROUNDING = 1e-6
 
 
@@ -58,7 +58,7 @@ class Surface:
         self._contexts = [mi.BSDFContext(mode) for mode in modes]
 
     def fault(self, material):
-        """What is wrong with the values of a material; an empty text for nothing."""
+        """The fault of a material's values, as text; an empty text if there is none."""
         try:
             found = np.array(list(self._values(self._materials.bsdf(material))), np.float64)
         except RuntimeError as error:

@@ -53,7 +53,7 @@ def assert_sound(asset):
 
 
 def assert_sound_field(field):
-    """What the emitter of `rendering` computes with is in range."""
+    """Values that the emitter of `rendering` computes with are in range."""
     assert type(field.depth) is type(field.resolution) is int
     assert type(field.scale) is float
     assert 1 <= field.depth <= MAX_DEPTH

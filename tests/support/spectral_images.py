@@ -1,7 +1,7 @@
 """Mean colours of images of lamps in a grey room, in any variant of Mitsuba.
 
-`python spectral_images.py VARIANT FOLDER SAMPLES LAMP...` prints those of a variant, in a process
-of its own, because a process has one variant.
+`python spectral_images.py VARIANT FOLDER SAMPLES LAMP...` prints the colours of a variant, in a
+process of its own, because a process has one variant.
 """
 
 import json

@@ -82,7 +82,7 @@ NETWORK = NetworkConfig(
 
 
 def set_qualities(set_attribute, **options):
-    """Make all qualities those of bakes of seconds, for commands and functions with defaults.
+    """Let all qualities mean bakes of seconds, for commands and functions with defaults.
 
     Args:
         set_attribute: as `setattr`, or the `setattr` of pytest's monkeypatch.

@@ -34,7 +34,7 @@ def tm33(data=None, areas=AREA, before="", after="", root="IESTM33-22", top="", 
         "</Emitter>"
     )
     return (
-        '<?xml version="1.0" encoding="utf-8"?>\n<!-- Of a <scene> in a hall -->\n'
+        '<?xml version="1.0" encoding="utf-8"?>\n<!-- A <scene> in a hall -->\n'
         f"<{root}><Version>1.1</Version><Header><Description>A lamp</Description></Header>"
         "<Luminaire><Dimensions><Length>0.7</Length><Width>0.3</Width><Height>0.1</Height>"
         f"</Dimensions><NumEmitter>1</NumEmitter></Luminaire>{top}{emitters * emitter}</{root}>"

@@ -1,4 +1,4 @@
-"""What tests of traced rays share: lamps, bins, and means with their standard errors."""
+"""Lamps, bins, and means with their standard errors, for tests of traced rays."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""The variant of Mitsuba in tests: that of LUMITREE_TEST_VARIANT, else the one of CPUs."""
+"""The variant of Mitsuba in tests: LUMITREE_TEST_VARIANT, or else the variant of CPUs."""
 
 import os
 

@@ -42,7 +42,7 @@ def flux(rays):
 
 
 def test_the_sum_of_the_flux_is_the_same(mi, facetted):
-    """Of paths too short for Russian roulette, which the limit changes."""
+    """The paths are too short for Russian roulette, which the limit changes."""
     whole, limited = (trace(mi, facetted, BELOW_ROULETTE, limit) for limit in (None, 2))
     assert flux(limited).sum(axis=1) == pytest.approx(flux(whole).sum(axis=1), rel=1e-4)
     # One segment is chosen of each path, before the flux that was cut off is restored.

@@ -103,7 +103,7 @@ def test_medium_that_is_clear_in_one_channel_scatters_in_the_others(mi, tmp_path
     """An extinction of 0 would make volpath divide by it: every pixel not a number."""
     radiance = looked_through(mi, tmp_path, load(tmp_path, "1, 1, 0", "0.9"))
     assert np.isfinite(radiance).all()
-    # Of the light of a furnace, less is absorbed than a straight line meets.
+    # Less light of a furnace is absorbed than along a straight ray.
     assert radiance[0].mean() > np.exp(-1) + 0.1
     assert radiance[2].mean() == pytest.approx(1, abs=0.05)
 

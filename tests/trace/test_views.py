@@ -168,7 +168,7 @@ def test_test_views_are_not_train_views(luminaire, tmp_path):
 
 
 def test_rays_of_the_camera_are_those_of_the_dataset(luminaire, tmp_path):
-    """What the network trains on (core.sampling) is what Mitsuba traced: a lit corner says so."""
+    """The network trains on the rays that Mitsuba traced: a lit corner shows it."""
     from lumitree.core.frames import orthographic_rays
 
     spot = SPHERE.replace('"2"', '"0.05"').replace("5,1,0", "0.9,0.5,-0.3")

@@ -68,7 +68,7 @@ def check_shapes(count: int, where: str) -> None:
 class Geometry:
     """A lamp: its parts, the materials they name, and the images of textures.
 
-    `images` are as of `AssetGeometry`; those of emission may be float32, beyond 1.
+    `images` are as of `AssetGeometry`: float32 where values may exceed 1, as for emission.
     """
 
     parts: tuple[Part, ...]

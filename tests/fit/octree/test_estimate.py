@@ -42,7 +42,7 @@ def has(cells, others):
 
 @pytest.mark.parametrize("law", ["linear", "exponential"])
 def test_density_of_fog_gives_the_measured_opacity(lamp, law):
-    """The opacity of a cell, mean over all chords, is that of its mean chord by the law."""
+    """The opacity of a cell, mean over all chords, is the law's opacity of its mean chord."""
     from lumitree.fit.octree.estimate import estimate
 
     level, sigma = 4, 0.75

@@ -15,7 +15,7 @@ def box(lamp):
 
 def test_rays_meet_convex_bodies_in_proportion_to_their_surface(box):
     o, d = arrays(*box.random_rays(1 << 20, stream(1)))
-    # Of a box that is larger by half a tile's diagonal.
+    # Rays start on a box that is larger by half a tile's diagonal.
     x, y, z = np.array([1, 0.5, 0.4]) + 2 * np.sqrt(2) * box.spacing
     surface = 8 * (x * y + y * z + z * x)
     assert box.measure == pytest.approx(np.pi * surface)

@@ -41,7 +41,7 @@ def rough(luminaire, l_max=1, law="exponential", **options):
 
 
 def score(luminaire, asset):
-    """By rays of another seed than those of the refinement."""
+    """Held-out score of an asset, by rays of a seed that the refinement does not use."""
     from lumitree.fit.octree.descent import HeldOut
     from lumitree.fit.octree.rays import TracedRays
 
@@ -57,7 +57,7 @@ def test_a_rough_asset_becomes_better(ball, tmp_path, law, l_max):
     from lumitree.fit.octree.bake import refine
 
     asset = rough(ball, l_max, law)
-    # Law, bands and depth are those of the asset, whatever the settings are.
+    # The asset keeps its law, bands and depth, whatever the settings are.
     other = small_config(law="linear" if law == "exponential" else "exponential", l_max=2)
     result = refine(asset, ball, other, tmp_path)
     found = result.asset

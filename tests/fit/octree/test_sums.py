@@ -1,4 +1,4 @@
-"""Sums on the device are exact: independent of order, and as good as those of single precision."""
+"""Sums on the device are exact: independent of order, and as precise as single precision."""
 
 import numpy as np
 import pytest
