@@ -53,7 +53,7 @@ def reflectance(mi, scene, x, y):
 
 @pytest.mark.parametrize("coordinates", [True, False])
 def test_masked_emitters_emit_where_they_are(mi, tmp_path, coordinates):
-    """Those of meshes without texture coordinates as their mask is at (0, 0)."""
+    """The mask of a mesh without texture coordinates has one value, at (0, 0)."""
     mask = Texture(image=0, raw=True, filter_type="nearest")
     image = np.array([[[51], [255]], [[255], [0]]], np.uint8)
     mesh = SQUARE if coordinates else dataclasses.replace(SQUARE, uv=None)
