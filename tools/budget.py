@@ -22,7 +22,7 @@ LINES = {
     "exports": 3_600,
     "fit": 5_900,
     "formats": 4_100,
-    "lamp": 10_850,
+    "lamp": 10_650,
     "many": 600,
     "measure": 4_850,
     "octree": 1_050,
