@@ -22,11 +22,11 @@ LINES = {
     "exports": 3_600,
     "fit": 5_900,
     "formats": 4_100,
-    "lamp": 10_850,
+    "lamp": 10_650,
     "many": 600,
     "measure": 5_000,
     "octree": 1_050,
-    "rendering": 8_950,
+    "rendering": 9_300,
     "trace": 1_900,
     "viewer": 1_250,
 }
