@@ -63,7 +63,7 @@ class _Description:
 
 @dataclasses.dataclass(frozen=True)
 class _Tensor:
-    """What safetensors states of a tensor; it checks whether the values fit the file."""
+    """A tensor in the header; safetensors checks whether its values fit the file."""
 
     dtype: str
     shape: tuple[int, ...]
