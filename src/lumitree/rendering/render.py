@@ -196,6 +196,7 @@ def render(
         spp = _SAMPLES_PER_PIXEL
     _check(spp, time, noise, width)
     check_items("placements", placements, Placement)
+    placements = [lamp for placement in placements for lamp in placement.each()]
     check_seed(seed)
     check_view(view, exposure)
     metres = metres_of(unit)
