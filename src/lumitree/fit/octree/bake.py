@@ -175,7 +175,7 @@ def _run(
         descent.run(f"{verb} {name}", interruption)
         if not budget.rays and not interruption:
             warnings.warn(
-                f"{name}: the time of {config.time:g} s was over before the gradient descent began; "
+                f"{name}: {config.time:g} s were over before the gradient descent began; "
                 "give it more",
                 LumitreeWarning,
                 stacklevel=2,
