@@ -123,7 +123,7 @@ _READING = {
         TEXTS, "Leave the shapes or parts that match the pattern away; may be repeated."
     ),
 }
-# Of these, each that is given counts.
+# Options that may be given several times for one lamp.
 _REPEATED = ("keep", "drop")
 _WORKERS = {
     "workers": Option(int, "Number of processes that share the work. Default: this one."),
