@@ -169,12 +169,12 @@ def test_dictionaries_and_scenes_are_luminaires(mi, tmp_path):
         assert (loaded.num_emitters, loaded.has_media) == (1, False)
         view = tiny_view(loaded)
         assert view.max_radiance == pytest.approx(seen.max_radiance, rel=1e-3)
-        assert view.sheet is None
+        assert view.image is None
         assert view._repr_png_().startswith(b"\x89PNG")
 
 
 def tiny_view(luminaire):
-    return lumitree.preview(luminaire, resolution=16, spp=16, progress=None)
+    return lumitree.preview(luminaire, sheet=True, resolution=16, spp=16, progress=None)
 
 
 @pytest.mark.parametrize(

@@ -33,7 +33,7 @@ LINES = {
 FILES = 216
 OTHERS = {
     "lines of tests": 42_100,
-    "lines of benchmarks": 9_800,
+    "lines of benchmarks": 9_850,
     "words of docs by hand": 45_000,
     "lines of README.md": 90,
     "files that use the word gain": 22,

@@ -67,7 +67,9 @@ def write_thumbnail(folder: Path, name: str, asset: Asset) -> None:
     from lumitree.rendering.studio import portrait
 
     stream = io.BytesIO()
-    Image.fromarray(portrait(asset, _PIXELS, _SAMPLES)).save(stream, format="JPEG", quality=85)
+    Image.fromarray(portrait(asset, _PIXELS, _SAMPLES).pixels).save(
+        stream, format="JPEG", quality=85
+    )
     write_bytes(_thumbnail(folder, name), stream.getvalue())
 
 
