@@ -2,7 +2,7 @@
 
     python -m benchmarks commands [--before TREE] [--only NAME ...] [--work FOLDER]
 
-Each command is a process: it reads a ceiling lamp of 98,808 triangles with rough glass, its asset,
+Each command is a process: it reads a ceiling lamp of 99,376 triangles with rough glass, its asset,
 or what an earlier command wrote. After a round that fills the caches of compiled kernels, commands
 take turns for `--rounds` rounds; figures are medians of the processor's seconds, of all cores, and
 of seconds by the wall. With `--before`, the commands of another working tree of lumitree take turns
@@ -56,9 +56,11 @@ _VASES = 4
 
 def write_inputs(folder: Path) -> None:
     """The lamp, `lamp/luminaire.xml`; the office of the examples, and with vases `room.xml`."""
+    from lumitree.asset.materials import MetallicRoughness
     from lumitree.lamp.builtin.fittings import TUNGSTEN, around, canopy, emitting
+    from lumitree.lamp.materials import Material, glass
     from lumitree.lamp.meshes import lathe, sphere
-    from lumitree.lamp.parts import Diffuse, Geometry, Glass, Material, Part
+    from lumitree.lamp.parts import Geometry, Part
     from lumitree.lamp.scene_writer import write_scene
 
     angle = np.linspace(0, np.pi / 2, 120)
@@ -69,8 +71,8 @@ def write_inputs(folder: Path) -> None:
         Part("plate", canopy(0.19, 0.03), "white"),
         Part("bulb", sphere(0.02, 16), "filament", tuple(around(3, 0.07, -0.035))),
     )
-    frosted = Material("frosted", Glass(roughness=0.5))
-    white = Material("white", Diffuse((0.8, 0.8, 0.8)))
+    frosted = Material("frosted", glass(roughness=0.5))
+    white = Material("white", MetallicRoughness(base_color=(0.8, 0.8, 0.8)))
     light = emitting(TUNGSTEN, "filament", (900.0, 650.0, 400.0))
     write_scene(Geometry(parts, (frosted, white, light)), folder / "lamp")
     office = (ROOT / "examples/office.xml").read_text(encoding="utf-8")
