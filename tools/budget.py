@@ -26,7 +26,7 @@ LINES = {
     "many": 600,
     "measure": 5_120,
     "octree": 1_050,
-    "rendering": 9_300,
+    "rendering": 9_420,
     "trace": 1_900,
     "viewer": 1_250,
 }
