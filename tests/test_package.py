@@ -153,7 +153,7 @@ def test_the_installed_program_runs(program):
     code = "import lumitree; print(lumitree.__file__)"
     where = program("-c", code, program=program.python)
     assert Path(where.strip()).is_relative_to(program.site)
-    assert "usage: lumitree" in program("--help")
+    assert "Usage: lumitree" in program("--help")
     assert program("--version").strip() == f"lumitree {__version__}"
     assert "bulbs" in program("list")
     program("blender-extension", "-o", "lumitree.zip")
