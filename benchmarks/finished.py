@@ -179,10 +179,10 @@ def taken(job: Job, folder: Path) -> tuple[NDArray[np.float32], float]:
 def displayed_error(image: NDArray[np.floating], reference: NDArray[np.floating]) -> float:
     """`hdr_flip` of images [H, W, 3] exposed by the reference, and clipped as a display does."""
     from lumitree.measure.metrics import hdr_flip
-    from lumitree.rendering.view_transform import room_exposure
+    from lumitree.rendering.photograph import automatic_ev, white_radiance
 
-    exposure = room_exposure(reference)
-    shown, goal = (np.clip(exposure * each, 0, 1) for each in (image, reference))
+    white = white_radiance(automatic_ev(reference))
+    shown, goal = (np.clip(each / white, 0, 1) for each in (image, reference))
     return hdr_flip(shown, goal, 1.0)
 
 
@@ -206,7 +206,7 @@ def draw(
 ) -> None:
     """Each method's image after about the baked one's time, beside the reference."""
     from lumitree.rendering.drawing import write_strip
-    from lumitree.rendering.view_transform import room_exposure
+    from lumitree.rendering.photograph import PhotoSettings
 
     end, panels = methods[BASELINE]["seconds"], []
     for method in METHODS:
@@ -216,7 +216,7 @@ def draw(
             (f"{caption}hdr_flip {point['hdr_flip']:.3f}", images[method, point["samples"]])
         )
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_strip(path, [*panels, ("reference", reference)], room_exposure(reference), columns=3)
+    write_strip(path, [*panels, ("reference", reference)], PhotoSettings(), columns=3)
 
 
 def times_table(rows: list[dict[str, Any]]) -> Table:

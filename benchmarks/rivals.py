@@ -195,6 +195,7 @@ def table(row: dict[str, Any]) -> Table:
 def draw(path: Path, found: dict[str, Method], runs: dict[str, LongRun], seconds: float) -> None:
     """The images of all methods after about equally much CPU time, as one PNG."""
     from lumitree.rendering.drawing import write_strip
+    from lumitree.rendering.photograph import PhotoSettings, ev_of_white
 
     clean = runs[BASELINES[0]].mean
     panels = []
@@ -204,7 +205,9 @@ def draw(path: Path, found: dict[str, Method], runs: dict[str, LongRun], seconds
         caption = f"{found[name].label}\n{count * run.samples} samples, {count * cost:.1f} CPU s"
         panels.append((caption, run.batches[:count].mean(0)))
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_strip(path, panels, 0.3 / float(np.median(clean)), columns=_COLUMNS)
+    ev = ev_of_white(float(np.median(clean)) / 0.3)
+    settings = PhotoSettings(exposure=f"ev={ev}", white_balance="off", view="srgb")
+    write_strip(path, panels, settings, columns=_COLUMNS)
 
 
 # Notes on the renderers, for the tables.

@@ -26,7 +26,7 @@ LINES = {
     "many": 600,
     "measure": 4_850,
     "octree": 1_050,
-    "rendering": 8_950,
+    "rendering": 9_300,
     "trace": 1_900,
     "viewer": 1_250,
 }

@@ -28,7 +28,6 @@ from lumitree.core.photometry import LUMENS_PER_WATT as LUMENS  # noqa: E402
 from lumitree.core.photometry import luminance  # noqa: E402
 from support.browser import evaluate  # noqa: E402
 from support.node_packages import node_modules  # noqa: E402
-from support.three_page import three_page  # noqa: E402
 
 PICTURE = Path(__file__).parent / "programs.jpg"
 WIDTH, HEIGHT = 480, 360
@@ -231,9 +230,35 @@ def by_three(asset: Any, scene: Scene, folder: Path) -> np.ndarray:
     coded = base64.b64encode((folder / "lamp.glb").read_bytes()).decode()
     page = three_page(node_modules(folder / "npm"))
     found = evaluate(page, THREE % (coded, facts), folder / "profile")
-    pixels = np.frombuffer(base64.b64decode(found), np.float32).reshape(HEIGHT, WIDTH, 4)
+    pixels = np.frombuffer(base64.b64decode(str(found)), np.float32).reshape(HEIGHT, WIDTH, 4)
     # The lowest row is first; values are cd/m².
     return pixels[::-1, :, :3] / LUMENS
+
+
+def three_page(packages: Path) -> str:
+    """A page with three.js and its loader of glTF, as modules without a server."""
+    jsm = packages / "three" / "examples" / "jsm"
+    files = {
+        "three-core": packages / "three" / "build" / "three.core.js",
+        "three": packages / "three" / "build" / "three.module.js",
+        "buffers": jsm / "utils" / "BufferGeometryUtils.js",
+        "skeletons": jsm / "utils" / "SkeletonUtils.js",
+        "loader": jsm / "loaders" / "GLTFLoader.js",
+    }
+    relative = {
+        "./three.core.js": "three-core",
+        "../utils/BufferGeometryUtils.js": "buffers",
+        "../utils/SkeletonUtils.js": "skeletons",
+    }
+    imports = {}
+    for name, path in files.items():
+        text = path.read_text(encoding="utf-8")
+        for given, wanted in relative.items():
+            text = text.replace(f"'{given}'", f"'{wanted}'")
+        coded = base64.b64encode(text.encode()).decode()
+        imports[name] = f"data:text/javascript;base64,{coded}"
+    table = json.dumps({"imports": imports})
+    return f'<html><head><script type="importmap">{table}</script></head><body></body></html>'
 
 
 PROGRAMS = (
@@ -252,6 +277,7 @@ PROGRAMS = (
 def main(asset_path: str, kept: Path) -> None:
     import lumitree
     from lumitree.rendering.drawing import write_strip
+    from lumitree.rendering.photograph import PhotoSettings, ev_of_white
 
     load_mitsuba()
     asset = lumitree.load(asset_path)
@@ -263,10 +289,11 @@ def main(asset_path: str, kept: Path) -> None:
             with tempfile.TemporaryDirectory() as folder:
                 np.save(path, render(asset, scene, Path(folder)))
         panels.append((caption, np.load(path)))
-    exposure = 0.25 * LUMENS / float(np.median(luminance(panels[0][1])))
+    ev = ev_of_white(float(np.median(luminance(panels[0][1]))) / (0.25 * LUMENS))
+    settings = PhotoSettings(exposure=f"ev={ev}", white_balance="off", view="srgb")
     with tempfile.TemporaryDirectory() as folder:
         strip = Path(folder) / "strip.png"
-        write_strip(strip, panels, exposure, columns=3)
+        write_strip(strip, panels, settings, columns=3)
         Image.open(strip).convert("RGB").save(PICTURE, "JPEG", quality=82)
 
 

@@ -18,6 +18,7 @@ from lumitree.errors import LumitreeError
 from lumitree.fit.bake import bake
 from lumitree.fit.config import BakeConfig
 from lumitree.measure.evaluate import IRRADIANCE_PATHS, evaluate
+from lumitree.rendering.photograph import PhotoSettings
 from lumitree.rendering.render import RenderResult, render
 
 LUMINAIRE = "bulbs"
@@ -29,12 +30,16 @@ ROOM_SECONDS, FULL_ROOM_SECONDS = 20.0, 60.0
 
 
 def run(
-    folder: str = "demo-output", variant: str | None = None, full: bool = False
+    folder: str = "demo-output",
+    variant: str | None = None,
+    full: bool = False,
+    settings: PhotoSettings | None = None,
 ) -> dict[str, Any]:
     """Bake and render; writes images, the asset and `report.json` into `folder`.
 
     Args:
         full: make a radiance field too, and compare its views with the lamp's.
+        settings: of the photographs of the room. Default: automatic.
     """
     output = Path(folder)
     asset = output / "lamp.lumitree"
@@ -58,7 +63,8 @@ def run(
             irradiance_paths=IRRADIANCE_PATHS,
         )
         seconds, report = seconds | evaluation.seconds, {"evaluate": evaluation.to_json()}
-    room = _render_room(output, str(asset), FULL_ROOM_SECONDS if full else ROOM_SECONDS)
+    budget = FULL_ROOM_SECONDS if full else ROOM_SECONDS
+    room = _render_room(output, str(asset), budget, settings or PhotoSettings())
     for name, image in room.items():
         seconds = seconds | {f"room {name}, {stage}": s for stage, s in image.seconds.items()}
     report |= {
@@ -71,13 +77,14 @@ def run(
     return report | {"files": files}
 
 
-def _render_room(output: Path, asset: str, seconds: float) -> dict[str, RenderResult]:
+def _render_room(
+    output: Path, asset: str, seconds: float, settings: PhotoSettings
+) -> dict[str, RenderResult]:
     """Render the room with both lamps in equal time, and write the images."""
     load_rgb()
     from lumitree.rendering.demo_room import demo_room, lamp
     from lumitree.rendering.drawing import write_strip
     from lumitree.rendering.layers import check_denoiser
-    from lumitree.rendering.view_transform import room_exposure
 
     try:
         check_denoiser()
@@ -105,7 +112,7 @@ def _render_room(output: Path, asset: str, seconds: float) -> dict[str, RenderRe
     write_strip(
         output / "comparison.png",
         images,
-        room_exposure(images[0][1]),
+        settings,
         image_settings("demo", lamps=list(found), time=seconds, width=WIDTH),
         columns=2,
     )

@@ -64,8 +64,17 @@ def test_generation_types_are_read_and_written(tmp_path, code):
     assert lamp.details["file_generation_type"] == GENERATIONS[code]
     write_ies(tmp_path / "again.ies", lamp)
     # All five digits: programs compare the text.
-    assert f"\n1.0 {code} 0.0\n" in (tmp_path / "again.ies").read_text()
-    assert read_ies(tmp_path / "again.ies").generation == code
+    assert f"\n1.0 {code} 10.0\n" in (tmp_path / "again.ies").read_text()
+    again = read_ies(tmp_path / "again.ies")
+    assert (again.generation, again.watts) == (code, 10)
+
+
+@pytest.mark.parametrize("watts", ["0", "-1", "1e10"])
+def test_a_power_that_is_none(tmp_path, watts):
+    lamp = read(tmp_path, text_of(factors=f"1 1 {watts}"))
+    assert lamp.watts is None
+    write_ies(tmp_path / "again.ies", lamp)
+    assert read_ies(tmp_path / "again.ies").watts is None
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """Luminous openings: the tables of LM-63, and quadratures against closed forms."""
 
+# pyright: reportCallIssue=false, reportArgumentType=false
 import numpy as np
 import pytest
 
@@ -113,6 +114,8 @@ def test_projected_areas_are_in_proportion(direction):
         found, centre = projected(opening, direction)
         downward, _ = projected(opening, [0, -1, 0])
         assert found / downward == pytest.approx(area / below, rel=3e-3), opening
+        unit = np.array(direction) / np.linalg.norm(direction)
+        assert opening.projected_area(unit) == pytest.approx(area)
         # All are convex and symmetric, so what a direction sees is in front of the centre.
         assert centre @ np.array(direction) > 0
 
@@ -141,6 +144,8 @@ def test_luminous_sides_of_different_heights(opening, sides):
         ([1, 0, 0], [0, 0, -1], [-1, 0, 0], [0, 0, 1]), sides, strict=True
     ):
         points, areas = opening.surface()
+        if opening.shape == "box":
+            assert opening.projected_area(np.array(direction)) == expected
         facing = np.maximum(areas @ np.array(direction), 0)
         assert facing.sum() / below == pytest.approx(expected / area, rel=2e-2, abs=1e-12)
         if expected:

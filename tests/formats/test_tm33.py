@@ -1,5 +1,6 @@
 """IES TM-33 files as lamps, against the intensities that they state."""
 
+# pyright: reportArgumentType=false
 import warnings
 from pathlib import Path
 
@@ -127,6 +128,9 @@ def test_factors(made):
     with pytest.warns(LumitreeWarning, match="941.879 lm, where it states 500 lm"):
         read_tm33(made(table() + "<LuminousFlux>500</LuminousFlux>"))
     assert read_tm33(made(emitters=2))[0].lumens == pytest.approx(2 * plain)
+    power = "<InputWattage>5</InputWattage>"
+    assert read_tm33(made(emitters=2, before=power))[0].watts == 10
+    assert read_tm33(made())[0].watts is None
 
 
 def area(face, circular="", **sizes):

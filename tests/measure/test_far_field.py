@@ -1,5 +1,6 @@
 """Measurements of lamps with known intensities, and their errors."""
 
+# pyright: reportOptionalMemberAccess=false
 import dataclasses
 
 import numpy as np
@@ -22,7 +23,13 @@ from lumitree.measure.far_field import (
     measure,
 )
 from lumitree.measure.near_field import DISTANCES, NearFieldTest
-from lumitree.measure.photometric_figures import Estimate, evaluated, plane_curve, width_at
+from lumitree.measure.photometric_figures import (
+    Estimate,
+    evaluated,
+    half_widths,
+    plane_curve,
+    width_at,
+)
 from lumitree.rendering.asset_flux import asset_lumens
 from support.camera_flux import flux_by_camera_paths
 from support.fields import uniform_asset
@@ -104,6 +111,11 @@ def test_a_lambertian_disk(measured_disk):
         assert figures.beam_angles[name].value == pytest.approx(120, abs=4)
         assert figures.field_angles[name].value == pytest.approx(168.5, abs=6)
         assert 0 < figures.beam_angles[name].error < 4
+    for at_65, at_75, _ in figures.luminance.values():
+        assert [at_65.value, at_75.value] == pytest.approx(
+            2 * [float(luminance(RADIANCE))], rel=0.1
+        )
+        assert 0 < at_65.error < 0.1 * at_65.value
 
 
 def test_the_near_field_of_a_lambertian_disk(measured_disk):
@@ -313,6 +325,9 @@ def test_planes_and_widths():
     assert width_at(np.array([10.0, 0, 0, 0, 0, 5]), 30, 0.5) == 45
     assert width_at(np.array([10.0, 6, 7, 8]), 90, 0.5) == 360
     assert width_at(np.zeros(4), 90, 0.5) == 0
+    assert half_widths(np.array([10.0, 0, 0, 0, 0, 5]), 30, 0.5) == (15, 30)
+    # The cone is about the first angle, and not about the largest value.
+    assert half_widths(np.array([4.0, 8, 0, 0]), 90, 0.5) == (157.5, 45)
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """`lumitree.photometry` and `lumitree photometry`."""
 
+# pyright: reportOptionalMemberAccess=false
 import dataclasses
 import json
 import re
@@ -7,6 +8,7 @@ import sys
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import lumitree
 from lumitree.asset.asset import light_field_asset
@@ -17,8 +19,10 @@ from lumitree.errors import LumitreeError
 from lumitree.formats.ies import read_ies
 from lumitree.formats.ldt import read_ldt
 from lumitree.formats.tm25 import read_tm25
+from lumitree.measure.figures import _cone
 from lumitree.rendering.asset_flux import asset_lumens
 from lumitree.trace.light_paths import LampRays
+from support.ies_text import ies_text
 from support.lamps import AREA, scene, sphere
 from support.light_fields import random_light_field
 
@@ -201,7 +205,28 @@ def test_reports_have_glare_ratings_or_say_what_is_missing(folder, monkeypatch, 
     assert ("lumitree[ugr]" in printed) == (not installed)
     # A report is read by others, who install nothing.
     assert "pip install" not in report
-    assert (folder / "a.pdf").read_bytes().count(b"/Type /Page ") == (2 if installed else 1)
+    assert (folder / "a.pdf").read_bytes().count(b"/Type /Page ") == 2
+
+
+def test_power_efficacy_luminance_and_cone_of_a_file(folder):
+    """A square panel of 0.5 m and 1000 lm, whose luminance is the same from everywhere below."""
+    gamma = np.append(np.arange(0, 90.5, 2.5), [90.001, 180])
+    candela = 1000 / np.pi * np.maximum(np.cos(np.deg2rad(gamma)), 0)
+    text = ies_text([candela], gamma=gamma, c=[0], opening=(0.5, 0.5, 0))
+    (folder / "panel.ies").write_text(text.replace("\n1 1 10\n", "\n1 1 12.5\n"))
+    found = lumitree.photometry("panel.ies", ["panel.html", "panel.pdf", "panel.ldt"], paths=PATHS)
+    assert found.watts == read_ldt("panel.ldt").watts == 12.5
+    assert found.efficacy.value == pytest.approx(80, rel=1e-3)
+    assert list(found.luminance) == ["C0", "C90", "C180", "C270"]
+    for values in found.luminance.values():
+        assert [each.value for each in values] == pytest.approx(3 * [1000 / np.pi / 0.25], rel=5e-3)
+    assert "<td>12.5 W</td>" in (folder / "panel.html").read_text()
+    axes = Figure().subplots()
+    _cone(axes, found.step, found.intensity)
+    # Half of the intensity at 60 degrees, and 318.3 cd / 4 m² at 2 m.
+    shown = [each.get_text() for each in axes.texts]
+    assert shown[1] == "79.6 lx\n6.93 m x 6.93 m"
+    assert axes.get_title() == "cone straight down"
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])

@@ -1,5 +1,7 @@
 """The preview's sheet: what is seen from where, its sizes, its labels."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -49,10 +51,10 @@ def test_views_show_pixels_one_to_one_where_legible(resolution, side):
     from lumitree.measure.preview import VIEWS, Preview, draw_preview
     from lumitree.trace.cameras import ViewImages
 
-    opacity = np.ones((resolution, resolution))
+    opacity = np.ones((resolution, resolution), np.float32)
     radiance = np.repeat(opacity[..., None], 3, axis=-1)
     views = dict.fromkeys(VIEWS, ViewImages(radiance, opacity, opacity))
-    sheet = draw_preview(Preview(views, [radiance] * 6, 1.0), "lamp", [])
+    sheet = draw_preview(Preview(views, [tonemap(radiance)] * 6, 1.0), "lamp", [])
     box = sheet.axes[0].get_window_extent()
     assert (box.width, box.height) == pytest.approx((side, side))
 
@@ -91,7 +93,7 @@ def test_labels(preview):
         "geometric opacity",
         "straight-through opacity",
     ]
-    facts = f"2 shapes   ·   12 lm   ·   exposure {taken.exposure:.3g} in all views"
+    facts = f"2 shapes   ·   12 lm   ·   EV {taken.ev:.1f} in all views"
     assert {r"a $lamp_{", facts, *VIEWS, *rows} == {*shown}
 
 
@@ -99,13 +101,17 @@ def test_the_brighter_row_brings_what_is_lit_to_middle_grey():
     from lumitree.measure.preview import Preview
     from lumitree.trace.cameras import ViewImages
 
-    radiance = np.zeros((10, 10, 3))
+    radiance = np.zeros((10, 10, 3), np.float32)
     radiance[:9] = 0.01
     radiance[0] = 50.0
-    opacity = np.ones((10, 10))
+    opacity = np.ones((10, 10), np.float32)
     preview = Preview({"a": ViewImages(radiance, opacity, opacity)}, [], 1.0)
     assert preview.exposure == pytest.approx(0.9 / 50)
     # 0.01 is to become 0.18: 1000 times the exposure of what emits.
     assert preview.more_stops == 10
-    black = Preview({"a": ViewImages(0 * radiance, opacity, opacity)}, [], 1.0)
-    assert (black.exposure, black.more_stops) == (1, 2)
+    black = Preview({"a": ViewImages(np.zeros_like(radiance), opacity, opacity)}, [], 1.0)
+    assert (black.exposure, black.more_stops) == (pytest.approx(1), 2)
+    darker = dataclasses.replace(preview, exposed=-1.0)
+    assert darker.ev == pytest.approx(preview.ev + 1)
+    assert darker.exposure == pytest.approx(0.45 / 50)
+    assert dataclasses.replace(preview, exposed="ev=3").ev == 3

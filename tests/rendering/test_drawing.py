@@ -6,6 +6,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.colors import LogNorm, Normalize
+from numpy.typing import NDArray
 from PIL import Image
 
 from lumitree.rendering.drawing import (
@@ -17,7 +18,7 @@ from lumitree.rendering.drawing import (
     text_page,
     write_strip,
 )
-from lumitree.rendering.view_transform import displayed
+from lumitree.rendering.photograph import PhotoSettings
 from support.figures import texts, tile_pixels
 
 
@@ -51,7 +52,7 @@ def test_same_figure_gives_same_bytes_whatever_the_users_settings():
     with mpl.rc_context({"savefig.dpi": 30, "savefig.bbox": "tight", "figure.dpi": 50}):
         assert image_grid(images(8, 8), 40, title="title").png("settings") == first
     with Image.open(io.BytesIO(first)) as image:
-        assert image.text == {"Comment": "settings"}
+        assert image.info["Comment"] == "settings"
 
 
 @pytest.mark.parametrize(
@@ -78,15 +79,17 @@ def test_numbers_that_are_not_known_are_grey():
 
 def test_a_strip_has_rows(tmp_path):
     rng = np.random.default_rng(1)
+    rooms: list[tuple[str, NDArray[np.floating]]]
     rooms = [(f"room {number}", rng.random((30, 500, 3))) for number in range(3)]
-    write_strip(tmp_path / "strip.png", rooms, 0.7, "made so", columns=2)
+    settings = PhotoSettings(exposure="ev=-9", view="srgb", white_balance="off")
+    write_strip(tmp_path / "strip.png", rooms, settings, "made so", columns=2)
     with Image.open(tmp_path / "strip.png") as image:
-        assert image.text["Comment"] == "made so"
+        assert image.info["Comment"] == "made so"
         pixels = np.asarray(image)[..., :3]
     for corner, (_, radiance) in zip(((16, 16), (16, 522), (72, 16)), rooms, strict=True):
         row, column = corner
         shown = pixels[row : row + 30, column : column + 500]
-        assert (shown == displayed(radiance, 0.7)).all()
+        assert (shown == settings.photograph(radiance).pixels).all()
 
 
 def test_luminances_that_are_no_numbers_are_shown_dark():

@@ -231,22 +231,22 @@ def test_images_state_exposure_and_view(mi, room, tmp_path):
 
     from PIL import Image
 
-    found = render(room, view="standard")
+    found = render(room, view="srgb")
     settings = json.loads(found.settings)
-    assert settings["view"] == "standard"
-    assert settings["exposure"] == pytest.approx(found.exposure)
+    assert (settings["view"], settings["exposure"]) == ("srgb", 0)
+    assert (settings["ev"], settings["white_balance"]) == (found.ev, found.white_balance)
     found.save(tmp_path / "a.png")
     with Image.open(tmp_path / "a.png") as image:
-        assert json.loads(image.info["Comment"])["exposure"] == settings["exposure"]
-    again = render(room, exposure=2 * found.exposure)
-    assert again.exposure == json.loads(again.settings)["exposure"] == 2 * found.exposure
+        assert json.loads(image.info["Comment"])["ev"] == settings["ev"]
+    again = render(room, exposure=f"ev={found.ev - 1}", view="srgb")
+    assert again.ev == json.loads(again.settings)["ev"] == found.ev - 1
     assert np.mean(decoded(again)) > 1.2 * np.mean(decoded(found))
-    with pytest.raises(LumitreeError, match="exposure is 0; expected"):
-        render(room, exposure=0)
-    pytest.importorskip("PyOpenColorIO", reason="the optional dependency filmic is not installed")
-    filmic = render(room, view="filmic")
-    assert_similar(filmic.pixels, found.pixels)
-    assert (decoded(filmic) != decoded(found)).any()
+    with pytest.raises(LumitreeError, match="exposure is 41; expected"):
+        render(room, exposure=41)
+    other = render(room, white_balance="off")
+    assert json.loads(other.settings)["white_balance"] == "off"
+    assert_similar(other.pixels, found.pixels)
+    assert (decoded(other) != decoded(found)).any()
 
 
 def decoded(result):

@@ -24,6 +24,7 @@ from lumitree.cli.output import (
     print_list,
     print_metrics,
     print_open,
+    print_photograph,
     print_photometry,
     print_preview,
     print_report,
@@ -419,7 +420,7 @@ def _glare(given: Given, places: list[Any], result: Any) -> Any:
 
 
 def _show_image(result: Given, given: Given) -> None:
-    print_report(result)
+    print_photograph(result)
     print_open(given["output"])
 
 
@@ -497,9 +498,11 @@ def _list(_: Given) -> Any:
 
 def _demo(given: Given) -> Any:
     from lumitree import demo
+    from lumitree.rendering.photograph import PhotoSettings
 
+    settings = PhotoSettings(**{name: given[name] for name in _SHOWN if name in given})
     return demo.run(
-        given.get("output", "demo-output"), given.get("variant"), given.get("full", False)
+        given.get("output", "demo-output"), given.get("variant"), given.get("full", False), settings
     )
 
 
@@ -513,6 +516,8 @@ def _show_demo(result: Given, given: Given) -> None:
     print_open(Path(given.get("output", "demo-output")) / "comparison.png")
 
 
+# Options of how a photograph is taken.
+_SHOWN = ("exposure", "white_balance", "view")
 _IMAGE = _file("Image to write: .exr, linear radiance; or .png, as --view shows it.", "-o", NEEDED)
 
 
@@ -670,6 +675,7 @@ COMMANDS: dict[str, Command] = {
                 False,
             ),
             "variant": options_of("bake")["variant"],
+            **{name: options_of("render")[name] for name in _SHOWN},
         },
         text="Bake a built-in lamp, and compare it with the explicit lamp in a room.",
     ),

@@ -51,6 +51,14 @@ def print_open(path: str | os.PathLike[str] | None) -> None:
         print(f"Open: {shown(path, LONGEST_LINE)}")
 
 
+def print_photograph(report: dict[str, Any]) -> None:
+    """Print the report of an image, with the exposure and white balance of its photograph."""
+    ev, kelvin = report["ev"], report["white_balance"]
+    balance = "off" if kelvin is None else f"{kelvin:,.0f} K"
+    print_report({k: v for k, v in report.items() if k not in ("ev", "white_balance")})
+    print_lines({"exposure": f"EV {ev:.1f}, white balance {balance}"})
+
+
 def print_report(report: dict[str, Any]) -> None:
     """Print a dictionary of figures; nested dictionaries are flattened by one level."""
     flat: dict[str, Any] = {}
@@ -188,6 +196,7 @@ def print_preview(result: Any) -> None:
         "triangles": f"{result.triangles:,}",
         "emitters": result.emitters,
         "L_max": f"{result.max_radiance:.4g} W/(m² sr)",
+        "exposure": f"EV {result.ev:.1f}",
         "size": " x ".join(f"{side:.4g}" for side in result.size),
         "media": "yes" if result.has_media else "no",
         "flux": f"{result.flux} (if lengths are in metres)",

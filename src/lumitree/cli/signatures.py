@@ -183,7 +183,7 @@ def _option_type(name: str, annotation: ast.expr, module: str) -> Any:
         counts = [text.count("float") - text.startswith("float"), *[1] * text.startswith("float")]
         return vector(*counts)
     if text == "float | str":
-        return Annotated[str, Parameter(converter=one(number))]
+        return Annotated[str, Parameter(converter=one(number), allow_leading_hyphen=True)]
     if (choices := _choices(annotation, module)) is not None:
         return Literal[choices]  # type: ignore[valid-type]
     return _PLAIN.get(text.removesuffix(" | None"))

@@ -70,7 +70,7 @@ def blackbody_colour(temperature: float) -> RGB:
     Args:
         temperature: in kelvin, from 1000 to 20000.
     """
-    rgb = np.maximum(_SRGB_FROM_XYZ @ _blackbody_xyz(np.array([temperature]))[0], 0.0)
+    rgb = np.maximum(_SRGB_FROM_XYZ @ blackbody_xyz(np.array([temperature]))[0], 0.0)
     rgb /= rgb @ LUMA
     return (float(rgb[0]), float(rgb[1]), float(rgb[2]))
 
@@ -151,7 +151,7 @@ def xyz_temperature(xyz: NDArray[np.float64]) -> tuple[float, float]:
     """
     if not (xyz.sum() > 0):
         return math.nan, math.nan
-    locus, point = _uv(_blackbody_xyz(_LOCUS_TEMPERATURES)), _uv(xyz)
+    locus, point = _uv(blackbody_xyz(_LOCUS_TEMPERATURES)), _uv(xyz)
     # Nearest points of the straight lines between neighbours.
     edge = np.diff(locus, axis=0)
     along = ((point - locus[:-1]) * edge).sum(axis=1) / (edge**2).sum(axis=1)
@@ -183,7 +183,7 @@ def chromaticity_difference(first: ArrayLike, second: ArrayLike) -> float:
     return float(np.linalg.norm(np.diff(_uv(colours), axis=0) * [1, 1.5]))
 
 
-def _blackbody_xyz(temperature: NDArray[np.float64]) -> NDArray[np.float64]:
+def blackbody_xyz(temperature: NDArray[np.float64]) -> NDArray[np.float64]:
     """CIE 1931 XYZ [N, 3], divided by `_PLANCK`, of black bodies [N], K."""
     return xyz_of_spectrum(_planck(temperature))
 

@@ -38,6 +38,7 @@ from lumitree.formats.reading import (
     integer,
     one_line,
     read_text,
+    stated_power,
     warn_of_file,
     without_noise,
 )
@@ -123,7 +124,7 @@ def ies_content(distribution: IntensityDistribution) -> bytes:
         # One lamp, no multiplier, Type C, metres.
         f"1 {row([-1 if emitted is None else emitted], 4)} 1.0 {values.shape[1]} {len(planes)} 1 2 "
         + row(lm63_dimensions(distribution.opening), 6),
-        f"1.0 {distribution.generation or UNDEFINED} 0.0",
+        f"1.0 {distribution.generation or UNDEFINED} {row([distribution.watts or 0], 4)}",
         *(row(each) for each in (distribution.gamma, planes, *values)),
         "",
     ]
@@ -223,6 +224,7 @@ class _Reader:
             intensity=intensity,
             opening=opening,
             emitted_lumens=emitted if header.lumens > 0 and emitted > 0 else None,
+            watts=stated_power(f"{header.watts}"),
             generation=second.generation,
             turned=turned,
             details={

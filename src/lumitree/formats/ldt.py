@@ -25,6 +25,7 @@ from lumitree.formats.reading import (
     number,
     one_line,
     read_text,
+    stated_power,
     warn_of_file,
     warn_of_flux,
     without_noise,
@@ -128,7 +129,7 @@ def ldt_of(distribution: IntensityDistribution, file_name: str = "") -> Any:
         lamp_flux=[lamp_lumens],
         lamp_cct=[""],
         lamp_cri=[""],
-        lamp_watt=[0.0],
+        lamp_watt=[distribution.watts or 0.0],
         direct_ratios=[0.0] * _NUM_RATIOS,
         c_angles=c.tolist(),
         g_angles=gamma.tolist(),
@@ -193,6 +194,7 @@ class _Reader:
             intensity=intensity,
             opening=opening,
             emitted_lumens=flux if relative else None,
+            watts=stated_power(self._lines[_SETS + _LINES_OF_SET - 1]),
             details={
                 "format": "EULUMDAT",
                 "photometry": f"{'relative' if relative else 'absolute'}, symmetry "

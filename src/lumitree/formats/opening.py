@@ -117,6 +117,26 @@ class Opening:
         x, _, z = self.sides
         return self.shape != "box" and self.axis == 1 and math.isclose(x, z, rel_tol=1e-6)
 
+    def projected_area(self, direction: Array) -> Array:
+        """Area [...], m², seen from where light in unit directions [..., 3] arrives."""
+        x, up, z = self.sides
+        dx, dy, dz = across = np.abs(np.moveaxis(direction, -1, 0))
+        if self.shape == "ellipsoid":
+            return np.pi / 4 * np.linalg.norm(direction * [up * z, x * z, x * up], axis=-1)
+        c0, c90, c180, c270 = self.heights or 4 * (up,)
+        if self.shape == "box":
+            facing_x = z * np.where(direction[..., 0] > 0, c0, c180)
+            facing_z = x * np.where(direction[..., 2] < 0, c90, c270)
+            return facing_x * dx + x * z * dy + facing_z * dz
+        # A cylinder: its cap, and the outline of its side.
+        first, second = (each for each in range(3) if each != self.axis)
+        width, depth = self.sides[first], self.sides[second]
+        azimuth = np.rad2deg(np.arctan2(-direction[..., 2], direction[..., 0])) % 360
+        height = np.interp(azimuth, 90 * np.arange(5), (c0, c90, c180, c270, c0))
+        length = height if self.axis == 1 else self.sides[self.axis]
+        side = np.hypot(width * across[second], depth * across[first])
+        return np.pi / 4 * width * depth * across[self.axis] + length * side
+
     def surface(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Points [N, 3] of the surface, m, and their areas times outward normals [N, 3].
 

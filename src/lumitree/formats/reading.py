@@ -34,6 +34,7 @@ _NOISE = 1e-3
 _FLUX_ERROR = 0.05
 # EULUMDAT limits the length of text lines.
 _TEXT = 78
+_MAX_WATTS = 1e9
 # Limits of an XML file.
 MAX_XML_BYTES = 1 << 25
 _MAX_DEPTH, _MAX_ELEMENTS, _MAX_ATTRIBUTES = 256, 1 << 19, 1 << 20
@@ -87,6 +88,15 @@ def integer(value: float, what: str, low: int, high: int) -> int:
     if not (low <= value <= high and value == int(value)):
         raise LumitreeError(f"it has {value:g} {what}; expected {low} to {high}")
     return int(value)
+
+
+def stated_power(text: str) -> float | None:
+    """The electrical power that a file states, W; None if it is no number above 0 to 1e9."""
+    try:
+        watts = number(text, "the power")
+    except LumitreeError:
+        return None
+    return watts if 0 < watts <= _MAX_WATTS else None
 
 
 def one_line(text: str) -> str:

@@ -37,6 +37,7 @@ from lumitree.formats.reading import (
     number,
     number_of,
     parse_xml,
+    stated_power,
     text_of,
     warn_of_file,
     warn_of_flux,
@@ -104,7 +105,13 @@ class _Reader:
             raise LumitreeError(f"it has {len(emitters)} emitters; expected 1 to {_MAX_EMITTERS}")
         found = [self._intensities(each) for each in emitters]
         opening = self._opening(emitters)
-        distribution = dataclasses.replace(_sum(found), name=self._name(), opening=opening)
+        powers = [stated_power(text_of(each, "InputWattage")) for each in emitters]
+        distribution = dataclasses.replace(
+            _sum(found),
+            name=self._name(),
+            opening=opening,
+            watts=None if None in powers else sum(filter(None, powers)),
+        )
         return distribution, _colour(emitters, [each.lumens for each in found])
 
     def _name(self) -> str:

@@ -193,6 +193,7 @@ class IntensityDistribution:
         intensity: [C, G] luminous intensity, cd, at least 0.
         opening: the surface that the light comes from.
         emitted_lumens: luminous flux of the bare emitters, 0 to 1e15 lm; None if it is not known.
+        watts: electrical power, above 0 to 1e9 W; None if it is not known.
         generation: file generation type of LM-63-2019, see `ies`; None if it is not stated.
         details: what its file states of how it was made, for reports: names and texts.
         turned: the same intensities in angles about another axis, as a file of Type B states them;
@@ -205,6 +206,7 @@ class IntensityDistribution:
     intensity: NDArray[np.float64]
     opening: Opening = POINT
     emitted_lumens: float | None = None
+    watts: float | None = None
     generation: str | None = None
     details: Mapping[str, str] = dataclasses.field(default_factory=dict)
     turned: "Turned | None" = None

@@ -1,8 +1,8 @@
 """Figures of this package: contact sheets of views and irradiance, plans, photometric reports.
 
 Contact sheets show views and irradiance of an evaluation. Plans show illuminance in false colours,
-with isolux lines and values. Reports have a polar and an isocandela plot, figures and near-field
-limits, as PDF or HTML.
+with isolux lines and values. Reports have a polar, a cone and an isocandela plot, figures and
+near-field limits, as PDF or HTML.
 """
 
 import base64
@@ -24,11 +24,13 @@ from lumitree.errors import shown
 from lumitree.formats.type_c import Grid
 from lumitree.measure.irradiance import FACES, NUM_CUBE_FACES, IrradianceEvaluation
 from lumitree.measure.photometric_figures import (
+    BEAM,
     NEAR_FIELD_HEADER,
     PLANES,
     UGR_HEADER,
     PhotometricData,
     figure_rows,
+    half_widths,
     known_rows,
     near_field_rows,
     plane_curve,
@@ -76,9 +78,14 @@ p.note { color: #57534e; max-width: 45rem; }
 _NOTES = (
     "C = 0 is towards +x of the luminaire's file and C is counter-clockwise seen from above; "
     "gamma = 0 is straight down. Errors are standard errors.",
+    "Luminance: intensity over the area of the luminous opening seen from there. Cone: illuminance "
+    "on its axis, by intensity / distance², and widths in C0-C180 and C90-C270; at its edge the "
+    "intensity is half of the intensity on the axis.",
+)
+_FAR_NOTE = (
     "Far field: distance from the centre of the luminous opening from which on the illuminance is "
     "within 5 % of intensity / distance², in a cone of 5 degrees. At shorter distances a "
-    "photometric file is wrong by more; use the asset instead.",
+    "photometric file is wrong by more; use the asset instead."
 )
 _COLOUR_NOTE = (
     "Colour rendering is computed from the spectrum of the bare emitters. Glass, shades and a gain "
@@ -318,31 +325,41 @@ def _plan_rows(plan: Plan) -> list[tuple[str, str]]:
 
 
 def plots_png(data: PhotometricData) -> bytes:
-    """Polar plot and isocandela plot as a PNG file."""
-    figure = Sheet(figsize=(11.0, 4.6), dpi=110, layout="constrained")
-    _polar(figure.add_subplot(1, 2, 1, projection="polar"), data)
-    _isocandela(figure, figure.add_subplot(1, 2, 2), data)
+    """Polar plot, cone diagram and isocandela plot as a PNG file."""
+    figure = Sheet(figsize=(15.0, 4.6), dpi=110, layout="constrained")
+    _polar(figure.add_subplot(1, 3, 1, projection="polar"), data)
+    _cone(figure.add_subplot(1, 3, 2), data.step, data.distribution.intensity)
+    _isocandela(figure, figure.add_subplot(1, 3, 3), data)
     return figure.png()
 
 
 def write_pdf(path: str | os.PathLike[str], data: PhotometricData) -> None:
-    """Write the report as a PDF file of A4 pages: one, or two with glare ratings."""
+    """Write the report as a PDF file of two A4 pages: figures, and near field and glare."""
     title = f"Photometric report: {shown(data.distribution.name)}"
-    near_field = [NEAR_FIELD_HEADER, *near_field_rows(data.near_field)]
-    page = text_page(title, 0.6, [_figure_rows(data), near_field], _notes(data))
-    _polar(page.add_axes((0.08, 0.65, 0.36, 0.245), projection="polar"), data)
-    _isocandela(page, page.add_axes((0.56, 0.66, 0.36, 0.225)), data)
-    pages = [page]
+    tables: list[list[tuple[str, ...]]] = [[NEAR_FIELD_HEADER, *near_field_rows(data.near_field)]]
+    notes, heading = [_FAR_NOTE], "Far field"
     if data.ugr is not None:
-        pages.append(text_page(_UGR_TITLE, 0.92, [[UGR_HEADER, *ugr_rows(data.ugr)]], [_UGR_NOTE]))
-    write_bytes(path, pdf_file(pages))
+        tables.append([UGR_HEADER, *ugr_rows(data.ugr)])
+        notes, heading = [_FAR_NOTE, f"{_UGR_TITLE}. {_UGR_NOTE}"], "Far field and glare"
+    page = text_page(title, 0.62, [_figure_rows(data)], _notes(data))
+    _polar(page.add_axes((0.05, 0.69, 0.26, 0.2), projection="polar"), data)
+    _cone(page.add_axes((0.4, 0.69, 0.18, 0.2)), data.step, data.distribution.intensity)
+    _isocandela(page, page.add_axes((0.78, 0.69, 0.18, 0.2)), data)
+    write_bytes(
+        path,
+        pdf_file(
+            [page, text_page(f"{heading}: {shown(data.distribution.name)}", 0.92, tables, notes)]
+        ),
+    )
 
 
 def write_html(path: str | os.PathLike[str], data: PhotometricData) -> None:
     """Write the report as an HTML file that loads nothing."""
     name = html.escape(shown(data.distribution.name))
     image = base64.b64encode(plots_png(data)).decode()
-    notes = "\n".join(f'<p class="note">{html.escape(note)}</p>' for note in _notes(data))
+    notes = "\n".join(
+        f'<p class="note">{html.escape(note)}</p>' for note in (*_notes(data), _FAR_NOTE)
+    )
     ugr = ""
     if data.ugr is not None:
         table = _html_table(ugr_rows(data.ugr), UGR_HEADER)
@@ -354,7 +371,7 @@ def write_html(path: str | os.PathLike[str], data: PhotometricData) -> None:
 <title>Photometric report: {name}</title>
 <style>{_STYLE}</style>
 <h1>Photometric report: {name}</h1>
-<img alt="polar plot and isocandela plot" src="data:image/png;base64,{image}">
+<img alt="polar plot, cone diagram and isocandela plot" src="data:image/png;base64,{image}">
 <h2>Figures</h2>
 {_html_table(_figure_rows(data))}
 <h2>Far field</h2>
@@ -395,6 +412,32 @@ def _polar(axes: Any, data: PhotometricData) -> None:
             x, -0.06, text, transform=axes.transAxes, fontsize=8, color="#57534e", ha="center"
         )
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=2, fontsize=8, frameon=False)
+
+
+def _cone(axes: Any, step: float, intensity: NDArray[np.float64]) -> None:
+    """Cone around the axis with the more light, in which the intensity is at least half of its."""
+    down, up = intensity[:, 0].mean(), intensity[:, -1].mean()
+    is_up = up > down
+    axes.set_title(f"cone straight {'up' if is_up else 'down'}", fontsize=10, pad=16)
+    axes.set(xlim=(-5, 5), ylim=(0, 5.5) if is_up else (5.5, 0), xticks=range(-4, 5, 2))
+    axes.set_yticks(range(1, 6), [f"{each} m" for each in range(1, 6)])
+    axes.tick_params(labelsize=8)
+    axes.grid(axis="y", color="#a8a29e", lw=0.6)
+    sides = []
+    for name, c in PLANES.items():
+        curve = plane_curve(Grid(step), intensity, c)
+        half = len(curve) // 2 if is_up else 0
+        angles = half_widths(np.roll(curve, -half), step, BEAM)
+        # Beyond this the light is in no cone.
+        right, left = np.tan(np.deg2rad(np.minimum(angles, 85)))
+        sides.append("wide" if max(angles) > 85 else right + left)
+        ends, label = (-5.5 * left, 0, 5.5 * right), f"{name}: {angles[1]:.0f}° + {angles[0]:.0f}°"
+        axes.fill(ends, (5.5, 0, 5.5), color=_COLOURS[name], alpha=0.25, lw=0, label=label)
+    for distance in range(1, 6):
+        lux = f"{float(f'{max(down, up) / distance**2:.3g}'):,.12g} lx"
+        size = " x ".join(s if isinstance(s, str) else f"{s * distance:.2f} m" for s in sides)
+        axes.text(5.3, distance, f"{lux}\n{size}", fontsize=7.5, va="center")
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), fontsize=8, frameon=False)
 
 
 def _isocandela(figure: Figure, axes: Any, data: PhotometricData) -> None:

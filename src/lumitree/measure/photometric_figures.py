@@ -36,7 +36,7 @@ from lumitree.core.photometry import (
 from lumitree.formats.ies import SIMULATED
 from lumitree.formats.ldt import ldt_of
 from lumitree.formats.opening import Opening
-from lumitree.formats.type_c import Grid, IntensityDistribution
+from lumitree.formats.type_c import Grid, IntensityDistribution, direction_of
 from lumitree.measure.batches import jackknife
 from lumitree.measure.near_field import NearFieldLimit
 
@@ -48,6 +48,8 @@ Mask = NDArray[np.bool_]
 BEAM, FIELD = 0.5, 0.1
 # The planes in which beam and field are measured: C of one half; the other is opposite.
 PLANES = {"C0-C180": 0.0, "C90-C270": 90.0}
+# Angles γ and C of the luminances that limits of glare are stated for, degrees.
+GLARE_ANGLES, _HALF_PLANES = (65, 75, 85), (0, 90, 180, 270)
 # Standard errors by which the largest intensity must exceed other nodes'.
 _CERTAIN = 2
 # Sides of the rooms of the UGR table across and along the line of sight, in mounting heights above
@@ -144,6 +146,8 @@ class PhotometricFigures:
         lumens: luminous flux, lm.
         emitted_lumens: luminous flux of the bare emitters, lm; the flux of the lamps that a
             photometric file states. None for an asset, and for absolute photometry.
+        watts: electrical power that a photometric file states, W; None if it does not.
+        efficacy: `lumens` over `watts`, lm/W; None without a power.
         light_output_ratio: `lumens` over `emitted_lumens`; None if that is.
         upward_share: part of the luminous flux above the horizontal, 0 to 1; the rest goes down.
         max_candela: largest luminous intensity, cd: in the direction in which the intensity less
@@ -152,6 +156,9 @@ class PhotometricFigures:
         beam_angles: by plane, "C0-C180" and "C90-C270": angle around the plane's largest intensity
             in which the intensity is at least half of it, degrees; 360 if it is so everywhere.
         field_angles: the same for a tenth.
+        luminance: by half-plane, "C0" to "C270": intensity at γ = 65, 75 and 85 degrees over the
+            area of the opening seen from there, cd/m²; without the half-planes in which there is
+            no such area.
         colour_temperature: correlated colour temperature of the mean colour of the light that
             leaves, by its RGB, K; None if it is not defined for this colour,
             or if a photometric file states none.
@@ -167,12 +174,15 @@ class PhotometricFigures:
     lumens: Estimate
     emitted_lumens: Estimate | None
     light_output_ratio: Estimate | None
+    watts: float | None
+    efficacy: Estimate | None
     upward_share: Estimate
     max_candela: Estimate
     max_c: float
     max_gamma: float
     beam_angles: dict[str, Estimate]
     field_angles: dict[str, Estimate]
+    luminance: dict[str, list[Estimate]]
     colour_temperature: Estimate | None
     duv: Estimate | None
     spectrum_share: float
@@ -261,8 +271,22 @@ def evaluated(
         }
         for part in (BEAM, FIELD)
     }
+    opening, power = measurement.opening, None if file is None else file.watts
+
+    areas = {f"C{c}": opening.projected_area(direction_of(c, GLARE_ANGLES)) for c in _HALF_PLANES}
+
+    def luminances(half_plane: str) -> list[Estimate]:
+        row = round(int(half_plane[1:]) / grid.step)
+        values, errors = (
+            np.interp(GLARE_ANGLES, grid.gamma, each[row]) / areas[half_plane]
+            for each in (intensity, error)
+        )
+        return list(map(Estimate, values.tolist(), errors.tolist()))
+
     figures = PhotometricFigures(
         lumens=_estimate(lumens),
+        watts=power,
+        efficacy=None if power is None else _estimate(lambda used: lumens(used) / power),
         emitted_lumens=emitted_lumens,
         light_output_ratio=ratio,
         upward_share=_estimate(lambda used: measurement.upward[used].mean() / lumens(used)),
@@ -271,6 +295,7 @@ def evaluated(
         max_gamma=float(grid.gamma[row]),
         beam_angles=angles[BEAM],
         field_angles=angles[FIELD],
+        luminance={name: luminances(name) for name, area in areas.items() if area.all()},
         colour_temperature=Estimate(kelvin, kelvin_error)
         if coloured and math.isfinite(kelvin_error)
         else None,
@@ -287,6 +312,7 @@ def evaluated(
         intensity=intensity,
         opening=measurement.opening,
         emitted_lumens=None if emitted_lumens is None else emitted_lumens.value,
+        watts=power,
         generation=generation,
         details={} if file is None else file.details,
     )
@@ -307,24 +333,30 @@ def _estimate(figure: Callable[[Mask], float]) -> Estimate:
     return Estimate(float(value), float(error))
 
 
-def width_at(intensity: NDArray[np.float64], step: float, part: float) -> float:
-    """Angle, degrees, around the largest value of a closed curve in which it is at least a part.
+def half_widths(intensity: NDArray[np.float64], step: float, part: float) -> tuple[float, float]:
+    """Angles, degrees, on both sides of the start of a closed curve at which it falls to a part.
 
     Args:
         intensity: [N] intensity by angle, in equal steps around a full turn.
         step: between the angles, degrees.
-        part: of the largest value; the curve between the angles is linear.
+        part: of the first value; the curve between the angles is linear. A curve that does not
+            fall so far has 180 degrees.
     """
-    curve = np.roll(intensity, -int(intensity.argmax())) / max(float(intensity.max()), 1e-300)
+    curve = intensity / max(float(intensity[0]), 1e-300)
     if curve.min() >= part:
-        return 360.0
-    if not curve.any():
-        return 0.0
-    return step * sum(
-        float(first + (side[first] - part) / (side[first] - side[first + 1]))
+        return 180.0, 180.0
+    forth, back = (
+        step * float(first + (side[first] - part) / (side[first] - side[first + 1]))
         for side in (curve, np.roll(curve[::-1], 1))
         for first in (int((side < part).argmax()) - 1,)
     )
+    return forth, back
+
+
+def width_at(intensity: NDArray[np.float64], step: float, part: float) -> float:
+    """Angle, degrees, around the largest value of a closed curve; arguments as `half_widths`."""
+    peak = np.roll(intensity, -int(intensity.argmax()))
+    return sum(half_widths(peak, step, part)) if peak.any() else 0.0
 
 
 def plane_curve(grid: Grid, intensity: NDArray[np.float64], c: float) -> NDArray[np.float64]:
@@ -428,6 +460,8 @@ def figure_rows(
             ("flux of the bare emitters", f"{figures.emitted_lumens} lm"),
             ("light output ratio", f"{figures.light_output_ratio.percent} %"),
         ]
+    if figures.watts is not None:
+        rows += [("power", f"{figures.watts:g} W"), ("efficacy", f"{figures.efficacy} lm/W")]
     rows += [
         (
             "largest intensity",
@@ -439,6 +473,9 @@ def figure_rows(
     for name in PLANES:
         rows.append((f"beam angle {name} (50 %)", f"{figures.beam_angles[name]}°"))
         rows.append((f"field angle {name} (10 %)", f"{figures.field_angles[name]}°"))
+    for name, values in figures.luminance.items():
+        heading = f"luminance {name}, {'; '.join(f'{gamma}°' for gamma in GLARE_ANGLES)}"
+        rows.append((heading, f"{'; '.join(map(str, values))} cd/m²"))
     temperature, catalogue = figures.colour_temperature, _NEEDS_UGR
     if ugr is not None:
         crosswise, endwise = ugr[CATALOGUE_ROOM, [0, len(REFLECTANCES)]]

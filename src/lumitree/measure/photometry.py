@@ -44,7 +44,7 @@ OUTPUTS = (*WRITTEN_SUFFIXES, ".html", ".pdf")
 class PhotometryResult(ImageResult, PhotometricFigures):
     """Result of a photometric measurement: the figures of `PhotometricFigures`, and more.
 
-    `png` shows a polar plot and an isocandela plot.
+    `png` shows a polar plot, a cone diagram and an isocandela plot.
 
     Attributes:
         luminaire: name of the luminaire.

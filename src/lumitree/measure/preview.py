@@ -28,6 +28,12 @@ from lumitree.errors import LumitreeError
 from lumitree.lamp.diagnosis import warn_of_faults
 from lumitree.lamp.scene_shapes import SceneShape
 from lumitree.rendering.asset_cache import asset_of
+from lumitree.rendering.photograph import (
+    check_exposure,
+    ev_of_white,
+    exposure_value,
+    white_radiance,
+)
 
 if TYPE_CHECKING:
     from lumitree.lamp.luminaire import Luminaire, LuminaireLike
@@ -64,7 +70,7 @@ class PreviewResult(ImageResult):
         has_media: whether there are participating media.
         flux: flux that leaves the luminaire.
         paths_per_second: speed of path tracing.
-        exposure: factor on the radiance in the first row of the contact sheet.
+        ev: exposure value of the contact sheet, EV100: 1.2 x 2^ev cd/m² is white.
         faults: one line for each fault that cannot be rendered correctly, such as a dielectric that
             is not closed.
         bounces: share of the flux that short paths miss; None if it was not measured.
@@ -82,7 +88,7 @@ class PreviewResult(ImageResult):
     has_media: bool
     flux: Flux
     paths_per_second: float
-    exposure: float
+    ev: float
     faults: list[str]
     sheet: Path | None
     bounces: list[MissedFlux] | None = None
@@ -101,7 +107,7 @@ class AssetPreviewResult(ImageResult):
         watts: [3] flux that it emits, R, G and B, W, if lengths are in metres: exact with a
             light field, else estimated from 2²⁰ rays.
         lumens: the same as luminous flux, lm.
-        exposure: factor on the radiance in the first row of the contact sheet.
+        ev: exposure value of the contact sheet, EV100: 1.2 x 2^ev cd/m² is white.
         sheet: file of the contact sheet; None if none was written.
     """
 
@@ -111,7 +117,7 @@ class AssetPreviewResult(ImageResult):
     size: tuple[float, ...]
     watts: tuple[float, ...]
     lumens: float
-    exposure: float
+    ev: float
     sheet: Path | None
 
 
@@ -123,6 +129,7 @@ def preview(
     resolution: int = 256,
     spp: int = 64,
     bounces: bool = False,
+    exposure: float | str = 0.0,
     variant: str | None = None,
     progress: ProgressCallback | None = show_progress,
 ) -> PreviewResult | AssetPreviewResult:
@@ -143,6 +150,8 @@ def preview(
             geometry, whose pixels have 16 rays.
         bounces: whether to measure the share of the flux that paths of at most 32, 64 and 128
             bounces miss. Not for an asset.
+        exposure: stops more than automatic, or "ev=9.5", as for `render`. Automatic shows the
+            emitters well.
         variant: Mitsuba variant; see `bake`.
         progress: function that is called with a `Progress` after each step; see `bake`.
 
@@ -157,12 +166,13 @@ def preview(
     if output is not None:
         check_sheet_output(output)
     check_image_settings(resolution=resolution, spp=spp)
+    check_exposure(exposure)
     mi = load_rgb(variant)
     if (asset := asset_of(luminaire)) is not None:
         if bounces:
             raise LumitreeError("an asset has no paths to count the bounces of; leave bounces out")
         with reporting(progress):
-            return _preview_asset(asset, output, resolution, spp)
+            return _preview_asset(asset, output, resolution, spp, exposure)
     from lumitree.lamp.luminaire import load_luminaire
     from lumitree.trace.flux import estimate_flux, missed_by_depth
 
@@ -173,7 +183,7 @@ def preview(
         with watch.stage("diagnose"):
             faults = warn_of_faults(lamp)
         with watch.stage("views"):
-            views = take_preview(lamp, resolution, spp)
+            views = take_preview(lamp, resolution, spp, exposure)
         with watch.stage("flux"):
             flux = estimate_flux(lamp, FLUX_PATHS)
         missed = None
@@ -189,7 +199,7 @@ def preview(
         has_media=lamp.has_media,
         flux=flux,
         paths_per_second=views.paths_per_second,
-        exposure=views.exposure,
+        ev=views.ev,
         faults=faults,
         bounces=missed,
         shapes=lamp.shapes,
@@ -202,7 +212,7 @@ def preview(
         luminaire=lamp.name,
         resolution=resolution,
         spp=spp,
-        exposure=views.exposure,
+        ev=views.ev,
         variant=mi.variant(),
     )
     png = draw_preview(views, lamp.name, _facts(result)).png(settings)
@@ -212,13 +222,13 @@ def preview(
 
 
 def _preview_asset(
-    asset: Asset, sheet: FilePath | None, resolution: int, spp: int
+    asset: Asset, sheet: FilePath | None, resolution: int, spp: int, exposure: float | str
 ) -> AssetPreviewResult:
     from lumitree.rendering.asset_flux import asset_watts
 
     watch = Stopwatch()
     with watch.stage("views"):
-        views = take_asset_preview(asset, resolution, spp)
+        views = take_asset_preview(asset, resolution, spp, exposure)
     with watch.stage("flux"):
         watts = asset_watts(asset)
     lumens, size = float(luminance(watts)), asset.frame.size
@@ -233,7 +243,7 @@ def _preview_asset(
         asset=asset.luminaire,
         resolution=resolution,
         spp=None if asset.geometry is None else spp,
-        exposure=views.exposure,
+        ev=views.ev,
     )
     png = draw_preview(views, asset.luminaire, facts, baked=True).png(settings)
     if sheet is not None:
@@ -245,7 +255,7 @@ def _preview_asset(
         size=tuple(size.tolist()),
         watts=tuple(watts.tolist()),
         lumens=lumens,
-        exposure=views.exposure,
+        ev=views.ev,
         sheet=None if sheet is None else Path(sheet),
         png=png,
         **watch.costs(),
@@ -271,11 +281,13 @@ class Preview:
         images: by the names of `VIEWS`.
         photographs: of each view, sRGB bytes [H, W, 3], as `rendering.studio` makes them.
         paths_per_second: paths traced per second, without the time of compilation.
+        exposed: exposure, as for `preview`.
     """
 
     images: "dict[str, ViewImages]"
     photographs: Sequence[NDArray[np.uint8]]
     paths_per_second: float
+    exposed: float | str = 0.0
 
     @property
     def radiance(self) -> NDArray[np.float32]:
@@ -283,9 +295,14 @@ class Preview:
         return np.stack([image.radiance for image in self.images.values()])
 
     @property
+    def ev(self) -> float:
+        """Exposure value of all images; the automatic one shows the emitters."""
+        return exposure_value(self.exposed, ev_of_white(1 / auto_exposure(self.radiance)))
+
+    @property
     def exposure(self) -> float:
-        """Exposure factor of all images, at which the emitters are well exposed."""
-        return auto_exposure(self.radiance)
+        """The same as a factor on the radiance."""
+        return 1 / white_radiance(self.ev)
 
     @property
     def more_stops(self) -> int:
@@ -301,7 +318,9 @@ class Preview:
         return max(round(math.log2(0.18 / float(np.median(lit)) / self.exposure)), _MIN_STOPS)
 
 
-def take_preview(luminaire: "Luminaire", resolution: int, spp: int) -> Preview:
+def take_preview(
+    luminaire: "Luminaire", resolution: int, spp: int, exposure: float | str = 0.0
+) -> Preview:
     """Render the six views, with `resolution` pixels per side."""
     from lumitree.rendering.studio import luminaire_photographs
     from lumitree.trace.cameras import Camera
@@ -318,12 +337,14 @@ def take_preview(luminaire: "Luminaire", resolution: int, spp: int) -> Preview:
             advance(1)
     # The first view is not counted, because its time includes compilation.
     paths = resolution**2 * spp * (len(VIEWS) - 1)
-    preview = Preview(images, [], paths / sum(seconds[1:]))
+    preview = Preview(images, [], paths / sum(seconds[1:]), exposure)
     photographs = luminaire_photographs(luminaire, poses, resolution, spp, preview.exposure)
     return dataclasses.replace(preview, photographs=photographs)
 
 
-def take_asset_preview(asset: Asset, resolution: int, spp: int) -> Preview:
+def take_asset_preview(
+    asset: Asset, resolution: int, spp: int, exposure: float | str = 0.0
+) -> Preview:
     """Render the six views of an asset, with the camera of its luminaire's preview.
 
     Both opacities are the one of `shown_images`. The camera's sphere contains the bounding box.
@@ -339,7 +360,7 @@ def take_asset_preview(asset: Asset, resolution: int, spp: int) -> Preview:
         name: ViewImages(radiance, opacity, opacity)
         for name, (radiance, opacity) in zip(VIEWS, shown, strict=True)
     }
-    preview = Preview(images, [], 0.0)
+    preview = Preview(images, [], 0.0, exposure)
     photographs = asset_photographs(asset, poses, radius, resolution, spp, preview.exposure)
     return dataclasses.replace(preview, photographs=photographs)
 
@@ -373,7 +394,7 @@ def draw_preview(
         [[Tile(image) for image in row] for row in rows.values()],
         min(max(preview.radiance.shape[1], _MIN_SIDE), _MAX_SIDE),
         title=title,
-        subtitle="   ·   ".join([*facts, f"exposure {exposure:.3g} in all views"]),
+        subtitle="   ·   ".join([*facts, f"EV {preview.ev:.1f} in all views"]),
         columns=list(preview.images),
         names=list(rows),
     )

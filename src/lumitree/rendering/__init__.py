@@ -1,8 +1,9 @@
 """Assets in Mitsuba scenes: placement, images, passes.
 
 `scene` reads scenes (files, dictionaries, `mi.Scene`), chooses the integrator and places the
-luminaires; `render` returns images as arrays, and `image` writes and mixes them. Assets are opened
-by `asset_cache`, and `device` has their copies on the device.
+luminaires; `render` returns images as arrays, `image` writes and mixes them, and `photograph` makes
+what a display shows. Assets are opened by `asset_cache`, and `device` has their copies on the
+device.
 
 The plugins of Mitsuba, which `register` registers: `shapes` makes the proxy of a lamp and, where
 images show its geometry, the shapes of `geometry`. `emitter` and `null_bsdf` are attached to the

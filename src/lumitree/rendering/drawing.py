@@ -21,7 +21,7 @@ from matplotlib.ticker import LogFormatter
 from numpy.typing import NDArray
 
 from lumitree.core.files import write_bytes
-from lumitree.rendering.view_transform import View, displayed
+from lumitree.rendering.photograph import PhotoSettings
 
 _DPI = 100
 # Pixels: margin, gap between images, height of a colour bar with its numbers.
@@ -163,25 +163,28 @@ def image_grid(
 def write_strip(
     path: str | os.PathLike[str],
     images: list[tuple[str, NDArray[np.floating]]],
-    exposure: float,
-    settings: str = "",
+    settings: PhotoSettings,
+    comment: str = "",
     *,
     columns: int | None = None,
-    view: View = "standard",
 ) -> None:
     """Write images [H, W, 3] of linear radiance and equal size side by side as one PNG.
 
     Args:
         images: caption (one or two lines) and radiance of each image.
-        exposure: factor before the view transform, the same for all.
-        settings: what made the images, stored as the comment of the file; may be empty.
+        settings: of all photographs, by the first image where they are automatic.
+        comment: what made the images, stored in the file; may be empty.
         columns: images in a row. Default: all.
     """
-    tiles = [Tile(displayed(radiance, exposure, view), caption) for caption, radiance in images]
+    first = images[0][1]
+    tiles = [
+        Tile(settings.photograph(radiance, metered=first).pixels, caption)
+        for caption, radiance in images
+    ]
     columns = columns or len(tiles)
-    rows = [tiles[first : first + columns] for first in range(0, len(tiles), columns)]
-    width = max(_STRIP, images[0][1].shape[1])
-    write_bytes(path, image_grid(rows, width).png(settings))
+    rows = [tiles[at : at + columns] for at in range(0, len(tiles), columns)]
+    width = max(_STRIP, first.shape[1])
+    write_bytes(path, image_grid(rows, width).png(comment))
 
 
 def luminance_png(luminance: NDArray[np.floating]) -> bytes:

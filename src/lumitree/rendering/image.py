@@ -21,7 +21,8 @@ from lumitree.core.images import (
 from lumitree.core.photometry import luminance
 from lumitree.core.results import ImageResult, Stopwatch
 from lumitree.errors import LumitreeError, explained, shown
-from lumitree.rendering.view_transform import View, check_view, displayed, room_exposure
+from lumitree.rendering.photograph import PhotoSettings
+from lumitree.rendering.view_transform import View
 
 # W/(m² sr); sums over the pixels of an image are then finite in single precision.
 _MAX_RADIANCE = 1e30
@@ -34,12 +35,15 @@ class SavedImage(ImageResult):
     Attributes:
         pixels: float32 [height, width, 3], linear radiance, W/(m² sr).
         settings: what made the image, as JSON text; the comment of the files.
-        exposure: factor on the radiance before the view transform of `png`.
+        ev: exposure value of `png`, EV100: 1.2 x 2^ev cd/m² is white.
+        white_balance: colour temperature of the light to which `png` is adapted, K; None for no
+            adaptation.
     """
 
     pixels: NDArray[np.float32] = dataclasses.field(repr=False)
     settings: str = dataclasses.field(repr=False)
-    exposure: float
+    ev: float
+    white_balance: float | None
 
     @explained
     def save(self, path: FilePath) -> None:
@@ -85,8 +89,8 @@ class MixResult(SavedImage):
     Attributes:
         pixels: float32 [height, width, 3], linear radiance, W/(m² sr).
         settings: what made the image, as JSON text; the comment of the files.
-        exposure: factor on the radiance before the view transform of `png`; by default the
-            exposure of the layers without gains.
+        ev, white_balance: of `png`, as of `RenderResult`; automatic ones are of the layers without
+            gains, so that a dimmed lamp looks dimmed.
         layers: names of the layers.
         resolution: width and height in pixels.
         mean_radiance: mean over pixels and channels, W/(m² sr).
@@ -102,8 +106,9 @@ def mix(
     layers: FilePath | Mapping[str, NDArray[np.float32]],
     gain: Mapping[str, float | tuple[float, float, float]] | None = None,
     *,
-    view: View = "standard",
-    exposure: float | None = None,
+    exposure: float | str = 0.0,
+    white_balance: float | str = "auto",
+    view: View = "agx",
 ) -> MixResult:
     """Change the brightness and the colour of lamps in an image, without rendering it again.
 
@@ -112,9 +117,8 @@ def mix(
             path of a file that `RenderResult.save_layers` has written.
         gain: by name of the layer, factors [3] on R, G and B of its light, or one number for all;
             0 to 10⁶. Default: 1.
-        view: view transform of `png`, as for `render`.
-        exposure: factor on the radiance before it, 10⁻¹² to 10¹². Default: the exposure of the
-            layers without gains.
+        exposure, white_balance, view: of `png`, as for `render`. Automatic ones are by the layers
+            without gains, so that a dimmed lamp looks dimmed.
 
     Returns:
         The image as `pixels`, float32 [height, width, 3], linear radiance in W/(m² sr), and
@@ -122,10 +126,9 @@ def mix(
 
     Raises:
         LumitreeError: the file is missing, damaged or has no layers; a gain is out of range or
-            of a layer that there is not; `exposure` is out of range; or `view` is "filmic" without
-            OpenColorIO.
+            of a layer that there is not; or `exposure` or `white_balance` is out of range.
     """
-    check_view(view, exposure)
+    settings = PhotoSettings(exposure=exposure, white_balance=white_balance, view=view)
     factors = {name: check_gain(each) for name, each in (gain or {}).items()}
     watch = Stopwatch()
     with watch.stage("mix"):
@@ -159,19 +162,19 @@ def mix(
                 f"the layers of {what} have radiance above {_MAX_RADIANCE:g} W/(m² sr) with these "
                 "gains; render them again, or use smaller gains"
             )
-    if exposure is None:
-        # The exposure of the image as it was rendered, so that a dimmed lamp looks dimmed.
-        exposure = room_exposure(np.stack(list(colours.values())).sum(axis=0, dtype=np.float64))
-    settings = image_settings(
-        "mix", layers=file, gain=factors, view=view, exposure=exposure, rendered=rendered
+    rendered_pixels = np.stack(list(colours.values())).sum(axis=0, dtype=np.float64)
+    photograph = settings.photograph(pixels, metered=rendered_pixels)
+    comment = image_settings(
+        "mix", layers=file, gain=factors, **photograph.described(settings), rendered=rendered
     )
     return MixResult(
         pixels=pixels,
-        settings=settings,
+        settings=comment,
         layers=sorted(colours),
         resolution=(pixels.shape[1], pixels.shape[0]),
         mean_radiance=float(pixels.mean()),
-        exposure=exposure,
-        png=encode_png(displayed(pixels, exposure, view), settings),
+        ev=photograph.ev,
+        white_balance=photograph.white_balance,
+        png=encode_png(photograph.pixels, comment),
         **watch.costs(),
     )

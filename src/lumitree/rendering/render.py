@@ -23,9 +23,10 @@ from lumitree.core.results import Stopwatch
 from lumitree.core.seeds import check_seed
 from lumitree.errors import LumitreeError, explained
 from lumitree.rendering.image import SavedImage
+from lumitree.rendering.photograph import PhotoSettings
 from lumitree.rendering.placement import Placement
 from lumitree.rendering.render_job import Described, RenderJob, renderer_of
-from lumitree.rendering.view_transform import View, check_view, displayed, room_exposure
+from lumitree.rendering.view_transform import View
 
 if TYPE_CHECKING:
     from lumitree.rendering.layers import Recorded
@@ -47,8 +48,9 @@ class RenderResult(SavedImage):
     Attributes:
         pixels: float32 [height, width, 3], linear radiance, W/(m² sr).
         settings: what made the image, as JSON text; the comment of the files.
-        exposure: factor on the radiance before the view transform of `png`. By default the
-            log-average luminance of the image is then 0.15 of white's.
+        ev: exposure value of `png`, EV100: 1.2 x 2^ev cd/m² is white.
+        white_balance: colour temperature of the light to which `png` is adapted, K; None for no
+            adaptation.
         resolution: width and height in pixels.
         spp: samples per pixel.
         mean_radiance: mean over pixels and channels, W/(m² sr).
@@ -125,8 +127,9 @@ def render(
     aov: bool = False,
     width: int | None = None,
     unit: float | str = "m",
-    view: View = "standard",
-    exposure: float | None = None,
+    exposure: float | str = 0.0,
+    white_balance: float | str = "auto",
+    view: View = "agx",
     so_far: "Callable[[RenderResult], None] | None" = None,
     work: FilePath | None = None,
     seed: int = 0,
@@ -162,11 +165,14 @@ def render(
             scene's.
         unit: unit of length of the scene: "m", "cm", "mm", "in", "ft", or the metres in a unit. It
             counts for `Placement.lumens` and for photometric files, which state metres.
-        view: view transform of `png`: "standard", clipped sRGB; or "filmic", the output transform
-            of ACES 2.0 for displays of 100 cd/m², which needs the optional dependency `filmic`.
-        exposure: factor on the radiance before the view transform, 10⁻¹² to 10¹², such as
-            `RenderResult.exposure` of another image, which is then shown alike. Default: by the
-            log-average luminance of the image.
+        exposure: stops more than automatic, -40 to 40, such as 1 for twice as bright; or "ev=9.5",
+            an exposure value EV100, at which 1.2 x 2^9.5 cd/m² is white. Automatic is by the
+            log-average luminance of the image without lamps, windows and openings into the dark.
+        white_balance: "auto", which adapts `png` to the light on the scene by 70 %, so that warm
+            light stays a little warm, and not to light that is coloured on purpose; the colour
+            temperature of a light that is to be white, K, 1000 to 20,000; or "off".
+        view: view transform of `png`: "agx", in which bright colours approach white slowly; or
+            "srgb", which clips them, for measuring.
         so_far: function that is called with the image so far, without layers and before denoising,
             after the first pass and then every two seconds or more.
         work: folder in which the passes so far are kept every half minute, and at the end. The same
@@ -188,8 +194,8 @@ def render(
         LumitreeError: an argument is out of range; the scene, an asset or a luminaire cannot be
             read; the scene has no camera; two placements are equal; `denoise`, `layers` or `aov`
             is asked for in a scene with heterogeneous media; `work` is given, and the scene or a
-            luminaire is no path, or another process works there; what `denoise` or `view`
-            needs is not installed; a worker is lost; or the scene cannot be sent to the workers of
+            luminaire is no path, or another process works there; Open Image Denoise
+            is not installed; a worker is lost; or the scene cannot be sent to the workers of
             `executor`, such as a `mitsuba.Scene`.
     """
     if (spp, time, noise) == (None, None, None):
@@ -197,7 +203,7 @@ def render(
     _check(spp, time, noise, width)
     check_items("placements", placements, Placement)
     check_seed(seed)
-    check_view(view, exposure)
+    settings = PhotoSettings(exposure=exposure, white_balance=white_balance, view=view)
     metres = metres_of(unit)
     check_executor(executor)
     mi = load_mitsuba(variant)
@@ -215,8 +221,8 @@ def render(
     def result(
         rendering: "Rendering", pixels: NDArray[np.float32], filtered: bool, **parts: Any
     ) -> RenderResult:
-        factor = room_exposure(pixels) if exposure is None else exposure
-        settings = image_settings(
+        photograph = settings.photograph(pixels, albedo=parts.get("albedo"))
+        comment = image_settings(
             "render",
             scene=Path(scene).name if isinstance(scene, str | os.PathLike) else None,
             lamps=dict(zip(names[1:], map(_described, placements), strict=True)),
@@ -226,21 +232,21 @@ def render(
             noise=rendering.noise,
             denoise=filtered,
             unit=unit,
-            view=view,
-            exposure=factor,
+            **photograph.described(settings),
             seed=seed,
             variant=mi.variant(),
         )
         return RenderResult(
             pixels=pixels,
-            settings=settings,
-            exposure=factor,
+            settings=comment,
+            ev=photograph.ev,
+            white_balance=photograph.white_balance,
             resolution=(pixels.shape[1], pixels.shape[0]),
             spp=rendering.spp,
             noise=rendering.noise,
             mean_radiance=float(pixels.mean()),
             camera=job.camera,
-            png=encode_png(displayed(pixels, factor, view), settings),
+            png=encode_png(photograph.pixels, comment),
             **parts,
             **watch.costs(),
         )

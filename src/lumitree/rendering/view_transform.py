@@ -1,87 +1,88 @@
-"""View transforms from the linear radiance of an image to the colours of a display.
+"""View transforms from linear colours, of which display white is 1, to the bytes of a display.
 
-"standard" clips at 1 and encodes sRGB. "filmic" is the output transform of ACES 2.0 for displays of
-100 cd/m², by OpenColorIO: highlights lose colour and approach white slowly.
+"srgb" clips at 1 and encodes sRGB, for measuring. "agx" is AgX by Troy Sobotka, with the primaries
+of Rec. 2020 as Blender and Filament have it: bright colours approach white slowly and keep their
+hue, and dark ones keep contrast. Its look is "punchy", without which images are dull.
 """
 
-import functools
-import importlib
-from typing import Any, Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.arguments import check_choice, check_range
-from lumitree.core.images import block_means, tonemap
+from lumitree.core.images import srgb_from_linear, tonemap
 from lumitree.core.photometry import LUMA
-from lumitree.errors import LumitreeError
 
-View = Literal["standard", "filmic"]
+View = Literal["agx", "srgb"]
 VIEWS: tuple[View, ...] = get_args(View)
-# Log-average luminance of an image on the display, relative to white; and side in pixels of the
-# blocks over which it is averaged: the logarithm of single pixels would measure their noise.
-_KEY, _BLOCK = 0.15, 8
-# The configuration is part of OpenColorIO 2.5 and later.
-_CONFIG = "cg-config-v4.0.0_aces-v2.0_ocio-v2.5"
-_LINEAR, _DISPLAY = "Linear Rec.709 (sRGB)", "sRGB - Display"
-_FILMIC = "ACES 2.0 - SDR 100 nits (Rec.709)"
+
+# Linear Rec. 2020 of linear sRGB (ITU-R BT.2087).
+_REC2020_FROM_SRGB = np.array(
+    [[0.6274, 0.3293, 0.0433], [0.0691, 0.9195, 0.0114], [0.0164, 0.0880, 0.8956]]
+)
+# AgX: the primaries that the curve is applied to, and those to which its result is converted, as
+# matrices of linear Rec. 2020.
+_INSET = np.array(
+    [
+        [0.856627153315983, 0.0951212405381588, 0.0482516061458583],
+        [0.137318972929847, 0.761241990602591, 0.101439036467562],
+        [0.11189821299995, 0.0767994186031903, 0.811302368396859],
+    ]
+)
+_OUTSET = np.array(
+    [
+        [1.1271005818144368, -0.11060664309660323, -0.016493938717834573],
+        [-0.1413297634984383, 1.157823702216272, -0.016493938717834257],
+        [-0.14132976349843826, -0.11060664309660294, 1.2519364065950405],
+    ]
+)
+# Stops around middle grey that are shown, and middle grey.
+_STOPS, _GREY = (-10.0, 6.5), 0.18
+# The curve: its slope at middle grey, which becomes ½, and the powers of its toe and its shoulder.
+_SLOPE, _TOE, _SHOULDER = 2.0, 3.0, 3.25
+# Exponent that decodes the result of the curve.
+_GAMMA = 2.2
+# Beyond it everything is white.
+_MOST = 1e6
 
 
-# Least and largest exposure.
-EXPOSURES = 1e-12, 1e12
+class Look(NamedTuple):
+    """Power of the colours after the curve of AgX, and saturation (ASC CDL)."""
+
+    power: float
+    saturation: float
 
 
-def check_view(view: View, exposure: float | None = None) -> None:
-    """Refuse a view transform that there is not, or whose package is missing, before any work.
-
-    Raises:
-        LumitreeError: there is no such view, OpenColorIO is missing for "filmic", or the
-            exposure is out of range.
-    """
-    check_choice("view", view, VIEWS)
-    if exposure is not None:
-        check_range("exposure", exposure, *EXPOSURES)
-    if view == "filmic":
-        _filmic()
+PUNCHY = Look(1.35, 1.4)
 
 
-def displayed(
-    radiance: NDArray[np.floating], exposure: float, view: View = "standard"
-) -> NDArray[np.uint8]:
-    """sRGB bytes [H, W, 3] of linear radiance [H, W, 3] after `exposure`."""
-    if view == "standard":
-        return tonemap(radiance, exposure)
-    height, width, channels = radiance.shape
-    image = np.ascontiguousarray(np.nan_to_num(radiance * exposure), np.float32)
-    library, processor = _filmic()
-    processor.apply(library.PackedImageDesc(image, width, height, channels))
-    return np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)
+def displayed(linear: NDArray[np.floating], view: View) -> NDArray[np.uint8]:
+    """sRGB bytes [H, W, 3] of linear sRGB [H, W, 3], relative to display white."""
+    if view == "srgb":
+        return tonemap(linear)
+    return np.round(srgb_from_linear(agx(linear)) * 255).astype(np.uint8)
 
 
-def room_exposure(radiance: NDArray[np.floating]) -> float:
-    """Exposure factor for an image [H, W, 3]: by its log-average luminance.
+def agx(linear: NDArray[np.floating], look: Look = PUNCHY) -> NDArray[np.float64]:
+    """Linear sRGB [..., 3] in [0, 1] that AgX shows of linear sRGB [..., 3]."""
+    colours = np.nan_to_num(linear, posinf=_MOST, neginf=0.0).clip(-_MOST, _MOST)
+    colours = colours.astype(np.float64) @ (_INSET @ _REC2020_FROM_SRGB).T
+    low, high = _STOPS
+    stops = np.log2(np.maximum(colours, 1e-10) / _GREY)
+    curved = np.maximum(_curve(np.clip((stops - low) / (high - low), 0, 1)), 0) ** look.power
+    grey = (curved @ np.array(LUMA))[..., None]
+    shown = (grey + look.saturation * (curved - grey)) @ _OUTSET.T
+    decoded = np.maximum(shown, 0) ** _GAMMA
+    return np.clip(decoded @ np.linalg.inv(_REC2020_FROM_SRGB).T, 0, 1)
 
-    A visible lamp is thousands of times brighter than the rest, and covers few pixels: a mean of
-    logarithms hardly depends on it. Black blocks do not count.
-    """
-    finite = np.nan_to_num(np.asarray(radiance, np.float64), nan=0.0, posinf=0.0, neginf=0.0)
-    means = block_means(finite @ np.array(LUMA), _BLOCK)
-    lit = means[means > 0]
-    exposure = _KEY / np.exp(np.log(lit).mean()) if lit.size else 1.0
-    return float(np.clip(exposure, *EXPOSURES))
 
-
-@functools.cache
-def _filmic() -> tuple[Any, Any]:
-    """OpenColorIO, whose module states no types, and its processor of "filmic"."""
-    try:
-        library: Any = importlib.import_module("PyOpenColorIO")
-        config = library.Config.CreateFromBuiltinConfig(_CONFIG)
-    except Exception as error:
-        # Older versions raise their own exception: they do not have the configuration.
-        raise LumitreeError(
-            f"the filmic view needs the package opencolorio, 2.5 or newer ({error}); install it "
-            "with `pip install 'lumitree[filmic]'`, or use the standard view"
-        ) from None
-    processor = config.getProcessor(_LINEAR, _DISPLAY, _FILMIC, library.TRANSFORM_DIR_FORWARD)
-    return library, processor.getDefaultCPUProcessor()
+def _curve(level: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The sigmoid of AgX from [0, 1] to [0, 1]."""
+    low, high = _STOPS
+    middle = -low / (high - low)
+    offset = level - middle
+    power = np.where(offset < 0, _TOE, _SHOULDER)
+    # The scales for which the ends are 0 and 1.
+    reach = np.where(offset < 0, middle, 1 - middle)
+    bend = ((2 * _SLOPE * reach) ** power - 1) * (np.abs(offset) / reach) ** power
+    return 0.5 + _SLOPE * offset * (1 + bend) ** (-1 / power)

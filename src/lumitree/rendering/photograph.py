@@ -1,0 +1,253 @@
+"""Photographs: what a camera with exposure and white balance makes of an image's radiance.
+
+Exposure is EV100: white on the display is a luminance of 1.2 x 2^EV cd/m², as for a camera that is
+calibrated by ISO 2720. White balance is a chromatic adaptation by CAT16 (CIE 248:2022).
+"""
+
+import dataclasses
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.core.arguments import check_choice, check_range
+from lumitree.core.images import block_means
+from lumitree.core.photometry import (
+    LUMENS_PER_WATT,
+    MAX_TEMPERATURE,
+    MIN_TEMPERATURE,
+    blackbody_xyz,
+    luminance,
+    srgb_from_xyz,
+    xyz_from_srgb,
+    xyz_temperature,
+)
+from lumitree.errors import LumitreeError, shown
+from lumitree.rendering.view_transform import VIEWS, View, displayed
+
+# Log-average luminance of the scene relative to white. Side in pixels of the blocks over which it
+# is averaged: the logarithm of single pixels would measure their noise. Share of the blocks that is
+# at most so many times as bright as white.
+_KEY, _BLOCK, _BRIGHTEST = 0.36, 8, (0.95, 4.0)
+# Stops above and below the median block beyond which a block is no part of the scene: lamps and
+# windows, and openings into the dark.
+_ABOVE, _BELOW = 4.0, 7.0
+# cd/m² of white at EV 0, for which the image of a black scene is exposed, too.
+_WHITE = 1.2
+# Largest exposures, stops and EV100.
+_MAX_STOPS, _MAX_EV = 40.0, 60.0
+# Part of the way to daylight that automatic white balance goes, as eyes and cameras do: warm light
+# stays a little warm. Beyond this Duv light is coloured on purpose; its colour stays.
+_ADAPTATION, _COLOURED = 0.7, (0.02, 0.05)
+# Least albedo by which the light on a surface is known; and see `light_on_scene`.
+_LEAST_ALBEDO, _POWER = 0.05, 4
+_CAT16 = np.array(
+    [
+        [0.401288, 0.650173, -0.051461],
+        [-0.250268, 1.204414, 0.045854],
+        [-0.002079, 0.048952, 0.953127],
+    ]
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class Photograph:
+    """An image as a display shows it.
+
+    Attributes:
+        pixels: uint8 [H, W, 3], sRGB.
+        ev: exposure, EV100.
+        white_balance: colour temperature of the light that is adapted to daylight, K; None for no
+            adaptation.
+    """
+
+    pixels: NDArray[np.uint8]
+    ev: float
+    white_balance: float | None
+
+    def described(self, settings: "PhotoSettings") -> dict[str, float | str]:
+        """The settings and the values chosen by them, for the comment of an image."""
+        return {
+            **dataclasses.asdict(settings),
+            "ev": self.ev,
+            "white_balance": "off" if self.white_balance is None else self.white_balance,
+        }
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PhotoSettings:
+    """How a photograph is taken, with the options of `render`.
+
+    Raises:
+        LumitreeError: a setting is out of range.
+    """
+
+    exposure: float | str = 0.0
+    white_balance: float | str = "auto"
+    view: View = "agx"
+
+    def __post_init__(self) -> None:
+        check_choice("view", self.view, VIEWS)
+        check_exposure(self.exposure)
+        if self.white_balance not in ("auto", "off"):
+            if isinstance(self.white_balance, str):
+                raise LumitreeError(
+                    f"white_balance is {shown(repr(self.white_balance), 60)}; expected auto, off "
+                    "or the colour temperature of the light, K"
+                )
+            check_range("white_balance", self.white_balance, MIN_TEMPERATURE, MAX_TEMPERATURE, "K")
+
+    def photograph(
+        self,
+        radiance: NDArray[np.floating],
+        *,
+        metered: NDArray[np.floating] | None = None,
+        albedo: NDArray[np.floating] | None = None,
+    ) -> Photograph:
+        """Take a photograph.
+
+        Args:
+            radiance: [H, W, 3], W/(m² sr).
+            metered: [H, W, 3], radiance by which automatic exposure and white balance are chosen.
+                Default: `radiance`.
+            albedo: [H, W, 3] of its surfaces, which tells the colour of the light on them.
+        """
+        metered = radiance if metered is None else metered
+        ev = exposure_value(self.exposure, automatic_ev(metered))
+        light = None if self.white_balance == "off" else self._light(metered, albedo)
+        scaled = radiance / white_radiance(ev)
+        if light is not None:
+            scaled = scaled @ light.adaptation().T
+        kelvin = None if light is None else light.temperature
+        return Photograph(displayed(scaled, self.view), ev, kelvin)
+
+    def _light(
+        self, radiance: NDArray[np.floating], albedo: NDArray[np.floating] | None
+    ) -> "Light | None":
+        if isinstance(self.white_balance, str):
+            return light_on_scene(radiance, albedo)
+        xyz = blackbody_xyz(np.array([self.white_balance]))[0]
+        return Light(xyz / xyz[1], self.white_balance, 1.0)
+
+
+@dataclasses.dataclass(frozen=True)
+class Light:
+    """The light that falls on a scene.
+
+    Attributes:
+        xyz: [3] its colour, with Y = 1.
+        temperature: correlated colour temperature, K.
+        degree: of the adaptation to it, 0 to 1.
+    """
+
+    xyz: NDArray[np.float64]
+    temperature: float
+    degree: float
+
+    def adaptation(self) -> NDArray[np.float64]:
+        """Matrix [3, 3] of linear sRGB: chromatic adaptation from this light to daylight, D65.
+
+        White of this light goes `degree` of the way to D65, in XYZ; its luminance stays.
+        """
+        white = _CAT16 @ xyz_from_srgb(np.ones(3))
+        light = np.maximum(_CAT16 @ self.xyz, 1e-3)
+        gains = self.degree * white / light + 1 - self.degree
+        adapted = np.linalg.solve(_CAT16, gains[:, None] * _CAT16)
+        return srgb_from_xyz((adapted @ xyz_from_srgb(np.eye(3)).T).T).T
+
+
+def check_exposure(exposure: float | str) -> None:
+    """Refuse an exposure that is neither stops nor EV100.
+
+    Raises:
+        LumitreeError: it is another text, or out of range.
+    """
+    if not isinstance(exposure, str):
+        check_range("exposure", exposure, -_MAX_STOPS, _MAX_STOPS, "stops")
+        return
+    try:
+        name, _, value = exposure.lower().partition("=")
+        known = name == "ev" and -_MAX_EV <= float(value) <= _MAX_EV
+    except ValueError:
+        known = False
+    if not known:
+        raise LumitreeError(
+            f"exposure is {shown(repr(exposure), 60)}; expected stops more than automatic, such as "
+            f"+1, or an exposure value of -{_MAX_EV:.0f} to {_MAX_EV:.0f}, such as ev=9.5"
+        )
+
+
+def exposure_value(exposure: float | str, automatic: float) -> float:
+    """EV100 of an exposure, as for `render`, by the automatic EV100."""
+    if isinstance(exposure, str):
+        return float(exposure.partition("=")[2])
+    return automatic - exposure
+
+
+def ev_of_white(radiance: float) -> float:
+    """EV100 for which a grey radiance, W/(m² sr), is white on the display."""
+    return math.log2(LUMENS_PER_WATT * radiance / _WHITE)
+
+
+def white_radiance(ev: float) -> float:
+    """Radiance, W/(m² sr), of grey that is white on the display at an EV100."""
+    return _WHITE * 2.0**ev / LUMENS_PER_WATT
+
+
+def automatic_ev(radiance: NDArray[np.floating]) -> float:
+    """EV100 for an image [H, W, 3], W/(m² sr), by the log-average luminance of the scene in it.
+
+    Lamps, windows and openings into the dark are no part of the scene.
+    """
+    finite = np.nan_to_num(np.asarray(radiance, np.float64), nan=0.0, posinf=0.0, neginf=0.0)
+    means = block_means(luminance(finite), _BLOCK)
+    scene = means[_of_scene(means)]
+    if not scene.size:
+        return ev_of_white(1.0)
+    share, most = _BRIGHTEST
+    white = max(np.exp2(np.log2(scene).mean()) / _KEY, np.quantile(scene, share) / most)
+    return float(np.clip(np.log2(white / _WHITE), -_MAX_EV, _MAX_EV))
+
+
+def light_on_scene(
+    radiance: NDArray[np.floating], albedo: NDArray[np.floating] | None = None
+) -> Light | None:
+    """The light on the surfaces of an image [H, W, 3]; None for a black image.
+
+    With the albedo [H, W, 3] of the surfaces it is radiance over albedo. Without it bright surfaces
+    count most, which are mostly white.
+    """
+    finite = np.nan_to_num(np.asarray(radiance, np.float64), nan=0.0, posinf=0.0, neginf=0.0)
+    blocks = _blocks(finite)
+    scene = _of_scene(luminance(blocks))
+    if albedo is not None:
+        reflected = _blocks(np.asarray(albedo, np.float64))
+        scene &= reflected.min(axis=-1) > _LEAST_ALBEDO
+        blocks = blocks / np.maximum(reflected, _LEAST_ALBEDO)
+    if not scene.any():
+        return None
+    # The mean of a high power is decided by bright surfaces.
+    level = blocks[scene].max()
+    colour = ((blocks[scene] / level) ** _POWER).mean(axis=0) ** (1 / _POWER)
+    xyz = xyz_from_srgb(colour)
+    temperature, duv = xyz_temperature(xyz)
+    if math.isnan(temperature):
+        return None
+    low, high = _COLOURED
+    degree = _ADAPTATION * min(max((high - abs(duv)) / (high - low), 0.0), 1.0)
+    return Light(xyz / xyz[1], temperature, degree)
+
+
+def _blocks(pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Means over blocks, of each channel."""
+    return np.stack([block_means(pixels[..., i], _BLOCK) for i in range(3)], axis=-1)
+
+
+def _of_scene(means: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which blocks, by their mean luminance, are of the scene."""
+    lit = means > 0
+    if not lit.any():
+        return lit
+    stops = np.log2(np.where(lit, means, 1.0))
+    middle = np.median(stops[lit])
+    return lit & (stops < middle + _ABOVE) & (stops > middle - _BELOW)

@@ -1,0 +1,140 @@
+"""Exposure and white balance of photographs."""
+
+import numpy as np
+import pytest
+
+from lumitree.core.images import auto_exposure, tonemap
+from lumitree.core.photometry import blackbody_colour, luminance, xyz_from_srgb
+from lumitree.errors import LumitreeError
+from lumitree.rendering.photograph import (
+    PhotoSettings,
+    automatic_ev,
+    ev_of_white,
+    light_on_scene,
+    white_radiance,
+)
+
+
+def plain(exposure: float | str = 0.0):
+    """Settings without white balance and view transform."""
+    return PhotoSettings(exposure=exposure, white_balance="off", view="srgb")
+
+
+@pytest.fixture
+def image():
+    """A room with warm light, noise, a lamp that is seen and a window into the dark."""
+    random = np.random.default_rng(0)
+    room = 0.02 * random.uniform(0.5, 1.5, (96, 128, 1)) * np.array([1.5, 1.0, 0.6])
+    room[8:40, 80:120] = 0
+    room[48:56, 16:24] = 500.0
+    return room
+
+
+def test_the_exposure_value_is_absolute(image):
+    """White is 1.2 x 2^EV cd/m², whatever else is in the image."""
+    for ev in (-3.0, 9.5):
+        grey = 1.2 * 2**ev / 683
+        assert white_radiance(ev) == pytest.approx(grey)
+        assert ev_of_white(grey) == pytest.approx(ev)
+        image[0, 0] = 0.4 * grey
+        shown = plain(f"ev={ev}").photograph(image)
+        assert shown.ev == ev
+        assert (shown.pixels[0, 0] == tonemap(np.full(3, 0.4))).all()
+
+
+def test_a_stop_is_a_factor_of_two(image):
+    automatic = plain().photograph(image)
+    brighter = plain(1.0).photograph(image)
+    assert brighter.ev == pytest.approx(automatic.ev - 1)
+    absolute = plain(f"ev={automatic.ev - 1}").photograph(image)
+    twice = plain(f"ev={automatic.ev}").photograph(2 * image)
+    for shown in (absolute, twice):
+        assert np.array_equal(shown.pixels, brighter.pixels)
+
+
+@pytest.mark.parametrize("factor", [2.0, 2.0**-20])
+def test_twice_the_light_gives_the_same_photograph(image, factor):
+    settings = PhotoSettings()
+    first, second = (settings.photograph(each) for each in (image, factor * image))
+    assert np.array_equal(first.pixels, second.pixels)
+    assert second.ev - first.ev == pytest.approx(np.log2(factor))
+    assert second.white_balance == pytest.approx(first.white_balance)
+
+
+def test_lamps_and_dark_openings_do_not_count(image):
+    room = 0.02 * np.ones_like(image) * np.array([1.5, 1.0, 0.6])
+    expected = automatic_ev(room)
+    assert automatic_ev(image) == pytest.approx(expected, abs=0.1)
+    room[8:40, 80:120] = 1e-6
+    room[48:80, 16:60] = 5000.0
+    assert automatic_ev(room) == pytest.approx(expected)
+
+
+def test_automatic_exposure_is_by_blocks_and_ignores_what_is_no_number():
+    grey = np.full((21, 35, 3), 0.02)
+    expected = automatic_ev(grey)
+    random = np.random.default_rng(0)
+    noisy = grey * random.exponential(size=(21, 35, 1))
+    assert automatic_ev(noisy) == pytest.approx(expected, abs=0.1)
+    image = np.full((64, 64, 3), 0.02)
+    for value in (np.nan, np.inf, -np.inf):
+        image[3, 4] = value
+        assert automatic_ev(image) == pytest.approx(expected, abs=0.02)
+        assert auto_exposure(image) == pytest.approx(0.9 / 0.02)
+    # A black image has an exposure that another one can have.
+    PhotoSettings(exposure=f"ev={automatic_ev(np.zeros((8, 8, 3)))}")
+
+
+@pytest.mark.parametrize("temperature", [2700.0, 4000.0, 9000.0])
+def test_grey_under_a_lamp_comes_closer_to_grey(mi, temperature):
+    """Automatic: 70 % of the way in XYZ. A number: the whole way."""
+    grey = 0.3 * np.array(blackbody_colour(temperature))
+    light = light_on_scene(np.broadcast_to(grey, (16, 16, 3)))
+    assert light is not None
+    assert light.temperature == pytest.approx(temperature, rel=0.01)
+    adapted = light.adaptation() @ grey
+    neutral = np.full(3, luminance(grey) / 683)
+    assert xyz_from_srgb(adapted) == pytest.approx(
+        xyz_from_srgb(0.7 * neutral + 0.3 * grey), rel=1e-4
+    )
+    given = PhotoSettings(exposure="ev=9", white_balance=temperature, view="srgb")
+    pixel = given.photograph(np.full((8, 8, 3), grey)).pixels[0, 0].astype(int)
+    assert np.ptp(pixel) <= 1
+
+
+def test_white_balance_off_changes_nothing(image):
+    shown = plain("ev=5").photograph(image)
+    assert np.array_equal(shown.pixels, tonemap(image / white_radiance(5)))
+    assert shown.white_balance is None
+
+
+def test_the_albedo_tells_the_light_in_a_coloured_room(mi):
+    lamp, paint = np.array(blackbody_colour(3000.0)), np.array([0.2, 0.4, 0.7])
+    radiance = np.broadcast_to(0.1 * lamp * paint, (16, 16, 3))
+    light = light_on_scene(radiance, np.broadcast_to(paint, radiance.shape))
+    assert light is not None
+    assert light.temperature == pytest.approx(3000, rel=0.01)
+
+
+def test_coloured_light_keeps_its_colour(mi):
+    for colour in ([0.0, 1.0, 0.1], [1.0, 0.0, 1.0]):
+        light = light_on_scene(np.broadcast_to(colour, (16, 16, 3)))
+        assert light is None or light.degree == 0
+    assert light_on_scene(np.zeros((8, 8, 3))) is None
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"exposure": 41.0}, "exposure is 41.0; expected -40.0 to 40.0 stops"),
+        ({"exposure": float("nan")}, "exposure is nan; expected"),
+        ({"exposure": "bright"}, "exposure is 'bright'; expected stops .* such as ev=9.5"),
+        ({"exposure": "ev=nan"}, "exposure is 'ev=nan'; expected"),
+        ({"white_balance": "warm"}, "white_balance is 'warm'; expected auto, off or"),
+        ({"white_balance": 900.0}, r"white_balance is 900.0; expected 1,000.0 to 20,000.0 K"),
+        ({"view": "neon"}, "expected agx, srgb"),
+    ],
+)
+def test_settings_are_checked(settings, message):
+    with pytest.raises(LumitreeError, match=message):
+        PhotoSettings(**settings)
