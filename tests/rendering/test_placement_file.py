@@ -1,6 +1,7 @@
 """TOML files of placements, and the luminous flux and colour of a placed lamp."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -86,10 +87,12 @@ def test_a_wrong_file_gives_one_line_with_file_and_lamp(tmp_path, text, message)
 def test_a_missing_file_and_explicit_geometry_are_refused(tmp_path):
     with pytest.raises(LumitreeError, match="does not exist; expected a TOML file of placements"):
         lumitree.read_placements(tmp_path / "no.toml")
-    for options in ({"lumens": 800}, {"temperature": 2700}):
+    lights: list[dict[str, Any]] = [{"lumens": 800}, {"temperature": 2700}]
+    for options in lights:
         with pytest.raises(LumitreeError, match="explicit geometry"):
             lumitree.Placement("bulbs", **options)
-    for options in ({"lumens": -1}, {"lumens": np.nan}, {"temperature": 99}):
+    wrong: list[dict[str, Any]] = [{"lumens": -1}, {"lumens": np.nan}, {"temperature": 99}]
+    for options in wrong:
         with pytest.raises(LumitreeError, match="expected"):
             lumitree.Placement("a.lumitree", **options)
 
@@ -123,7 +126,7 @@ def test_a_placed_lamp_has_the_lumens_and_the_colour(mi, asset, size):
     options = {"size": size, "lumens": 800, "temperature": 2700}
     watts, errors = placed_flux(mi, lumitree.Placement(asset, **options))
     lumens = float(luminance(watts))
-    # Of a field, the flux is an estimate too, of about as many rays.
+    # The flux of a field is an estimate too, by about as many rays.
     tolerance = 5 * np.sqrt(2) * float(luminance(errors))
     assert abs(lumens - 800) < tolerance
     assert tolerance < 20
