@@ -164,7 +164,7 @@ def material_properties(name: str, material: Material) -> Properties:
         LumitreeError: LuxCore has no equal of the material.
     """
     from lumitree.exports.pbr import principled_index, relative_index
-    from lumitree.lamp.scene_writer import normal_reflectance
+    from lumitree.lamp.materials import normal_reflectance
 
     own: Properties
     inner: Properties = {}

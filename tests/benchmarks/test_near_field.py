@@ -5,10 +5,12 @@ import pytest
 
 from benchmarks.inside_box.figures import over_planes, patch_errors
 from benchmarks.inside_box.patches import NORMALS, Rectangle
+from lumitree.asset.materials import Diffuse
 from lumitree.core.device import on_device
 from lumitree.lamp.luminaire import load_luminaire
+from lumitree.lamp.materials import Material, metal
 from lumitree.lamp.meshes import lathe
-from lumitree.lamp.parts import Diffuse, Geometry, Material, Metal, Part
+from lumitree.lamp.parts import Geometry, Part
 from lumitree.lamp.scene_writer import write_scene
 
 PATHS = 1 << 20
@@ -29,15 +31,15 @@ def open_lamp(mi, tmp_path_factory):
     angle = np.linspace(-np.pi / 2, np.pi / 2, 7)
     ball = 0.3 * np.column_stack([np.cos(angle), np.sin(angle)])
     ball[[0, -1], 0] = 0.0
-    emits = Material("bulb", Diffuse((0.4, 0.4, 0.4)), radiance=(3.0, 2.0, 1.0))
-    shade = Material("shade", Diffuse((0.8, 0.6, 0.5)), two_sided=True)
+    emits = Material("bulb", Diffuse(reflectance=(0.4, 0.4, 0.4)), radiance=(3.0, 2.0, 1.0))
+    shade = Material("shade", Diffuse(reflectance=(0.8, 0.6, 0.5)), two_sided=True)
     model = Geometry(
         (
             Part("bulb", lathe(ball, 10, crease=90), "bulb", (np.eye(4),)),
             Part("shade", lathe([[0.9, -0.3], [0.7, 0.2], [0.3, 0.6]], 12, crease=90), "shade"),
             Part("plate", lathe([[0, -0.9], [0.6, -0.9], [0.6, -0.8], [0, -0.8]], 24), "plate"),
         ),
-        (emits, shade, Material("plate", Metal((0.9, 0.8, 0.7), 0.6, "none"))),
+        (emits, shade, Material("plate", metal((0.9, 0.8, 0.7), 0.6))),
     )
     return load_luminaire(write_scene(model, tmp_path_factory.mktemp("open")))
 

@@ -6,19 +6,11 @@ import numpy as np
 import pytest
 
 from lumitree.asset.geometry import Medium
-from lumitree.asset.materials import VertexColours
+from lumitree.asset.materials import Diffuse, MetallicRoughness, Texture, VertexColours
 from lumitree.core.backend import load_mitsuba
+from lumitree.lamp.materials import Material, glass, metal
 from lumitree.lamp.meshes import Mesh
-from lumitree.lamp.parts import (
-    Diffuse,
-    Geometry,
-    Glass,
-    Material,
-    Metal,
-    MetallicRoughness,
-    Part,
-    Texture,
-)
+from lumitree.lamp.parts import Geometry, Part
 from lumitree.lamp.scene_file import SceneFile
 from lumitree.lamp.scene_writer import write_scene
 from support.variant import VARIANT
@@ -31,7 +23,8 @@ SQUARE = Mesh(
     np.array([[0.0, 1], [1, 1], [1, 0], [0, 0]]),
     np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]]),
 )
-FLAT = Texture(np.full((2, 2, 3), (128, 128, 255), np.uint8), False)
+IMAGES = (np.full((2, 2, 3), (128, 128, 255), np.uint8), np.full((2, 2, 1), 99, np.uint8))
+FLAT, GREY = (Texture(image=at, raw=True) for at in range(2))
 
 
 @pytest.fixture(scope="module")
@@ -42,9 +35,9 @@ def mi():
 ONE_PLACE = (np.eye(4),)
 
 
-def written(mi, folder, surface, places=ONE_PLACE, **fields):
+def written(mi, folder, surface, places=ONE_PLACE, images=IMAGES, **fields):
     material = Material("coat", surface, **fields)
-    model = Geometry((Part("square", SQUARE, "coat", places),), (material,))
+    model = Geometry((Part("square", SQUARE, "coat", places),), (material,), images)
     return mi.load_file(str(write_scene(model, folder)))
 
 
@@ -61,10 +54,11 @@ def reflectance(mi, scene, x, y):
 @pytest.mark.parametrize("coordinates", [True, False])
 def test_masked_emitters_emit_where_they_are(mi, tmp_path, coordinates):
     """The mask of a mesh without texture coordinates has one value, at (0, 0)."""
-    mask = Texture(np.array([[[51], [255]], [[255], [0]]], np.uint8), False, nearest=True)
+    mask = Texture(image=0, raw=True, filter_type="nearest")
+    image = np.array([[[51], [255]], [[255], [0]]], np.uint8)
     mesh = SQUARE if coordinates else dataclasses.replace(SQUARE, uv=None)
     material = Material("coat", Diffuse(), (3.0, 2.0, 1.0), mask)
-    model = Geometry((Part("square", mesh, "coat", ONE_PLACE),), (material,))
+    model = Geometry((Part("square", mesh, "coat", ONE_PLACE),), (material,), (image,))
     scene = mi.load_file(str(write_scene(model, tmp_path)))
     for x, y, share in ((-0.5, 0.5, 0.2), (0.5, 0.5, 1), (0.5, -0.5, 0)):
         si = hit(mi, scene, x, y)
@@ -77,9 +71,9 @@ def test_masked_emitters_emit_where_they_are(mi, tmp_path, coordinates):
 @pytest.mark.parametrize(
     ("surface", "plugin"),
     [
-        (Metal(roughness=0.6), {"type": "roughconductor", "material": "none"}),
+        (metal(roughness=0.6), {"type": "roughconductor", "material": "none"}),
         (
-            Glass(ior=1.5, roughness=0.6),
+            glass(ior=1.5, roughness=0.6),
             {"type": "roughdielectric", "int_ior": 1.5, "ext_ior": 1.0},
         ),
     ],
@@ -105,15 +99,20 @@ def test_microfacets_are_those_of_ggx(mi, tmp_path, surface, plugin):
     assert (reflected(si.bsdf()) > 1.02 * single).all()
 
 
-def corners(encoded):
+def corners():
     pixels = np.zeros((2, 2, 3), np.uint8)
     pixels[0, 0], pixels[0, 1], pixels[1, 0] = (188, 0, 0), (0, 188, 0), (0, 0, 188)
-    return Texture(pixels, encoded, nearest=True)
+    return pixels
 
 
 @pytest.mark.parametrize(("encoded", "value"), [(True, 0.5029), (False, 188 / 255)])
 def test_the_first_row_is_at_v_0_and_values_are_decoded(mi, tmp_path, encoded, value):
-    scene = written(mi, tmp_path, Diffuse(corners(encoded)))
+    scene = written(
+        mi,
+        tmp_path,
+        Diffuse(reflectance=Texture(image=0, raw=not encoded, filter_type="nearest")),
+        images=(corners(),),
+    )
     for x, y, channel in ((-0.5, 0.5, 0), (0.5, 0.5, 1), (-0.5, -0.5, 2)):
         expected = np.zeros(3)
         expected[channel] = value
@@ -123,13 +122,11 @@ def test_the_first_row_is_at_v_0_and_values_are_decoded(mi, tmp_path, encoded, v
 @pytest.mark.parametrize(
     "surface",
     [
-        Glass(tint=(1, 0.5, 0.2), roughness=0.3),
-        Glass(thin=True),
-        Metal((0.9, 0.8, 0.7), 0.2, "Au"),
-        MetallicRoughness(thin=True, diffuse_transmission=1.0),
-        MetallicRoughness(
-            VertexColours(), roughness=Texture(np.full((2, 2, 1), 99, np.uint8), False)
-        ),
+        glass(tint=(1, 0.5, 0.2), roughness=0.3),
+        glass(thin=True),
+        metal((0.9, 0.8, 0.7), 0.2, "Au"),
+        MetallicRoughness(thin=True, diff_trans=1.0),
+        MetallicRoughness(base_color=VertexColours(), roughness=GREY),
     ],
 )
 def test_every_surface_loads_under_every_layer(mi, tmp_path, surface):
@@ -158,7 +155,7 @@ def test_copies_share_a_mesh_and_stand_in_their_places(mi, tmp_path):
 
 def test_media_have_their_coefficients(mi, tmp_path):
     medium = Medium((2.0, 0.5, 0.0), (0.0, 1.5, 0.25), 0.3)
-    scene = written(mi, tmp_path, Glass(medium=medium))
+    scene = written(mi, tmp_path, glass(), medium=medium)
     parameters = mi.traverse(scene.shapes()[0].interior_medium())
     scale = np.ravel(parameters["scale"])
     extinction = np.ravel(parameters["sigma_t.value.value"]) * scale
@@ -170,7 +167,7 @@ def test_media_have_their_coefficients(mi, tmp_path):
 def test_names_of_copies_materials_and_parts_do_not_collide(tmp_path):
     """Whatever they are called: shapes and materials have one namespace in a scene."""
     places = (np.eye(4), np.diag([1.0, 1, -1, 1]))
-    grey = Diffuse((0.5, 0.5, 0.5))
+    grey = Diffuse(reflectance=(0.5, 0.5, 0.5))
     parts = (
         Part("crystal", SQUARE, "bulb", places),
         Part("crystal_2", SQUARE, "bulb"),

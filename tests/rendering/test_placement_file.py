@@ -1,7 +1,6 @@
 """TOML files of placements, and the luminous flux and colour of a placed lamp."""
 
 import dataclasses
-from typing import Any
 
 import numpy as np
 import pytest
@@ -87,14 +86,12 @@ def test_a_wrong_file_gives_one_line_with_file_and_lamp(tmp_path, text, message)
 def test_a_missing_file_and_explicit_geometry_are_refused(tmp_path):
     with pytest.raises(LumitreeError, match="does not exist; expected a TOML file of placements"):
         lumitree.read_placements(tmp_path / "no.toml")
-    lights: list[dict[str, Any]] = [{"lumens": 800}, {"temperature": 2700}]
-    for options in lights:
+    for lumens, temperature in ((800, None), (None, 2700)):
         with pytest.raises(LumitreeError, match="explicit geometry"):
-            lumitree.Placement("bulbs", **options)
-    wrong: list[dict[str, Any]] = [{"lumens": -1}, {"lumens": np.nan}, {"temperature": 99}]
-    for options in wrong:
+            lumitree.Placement("bulbs", lumens=lumens, temperature=temperature)
+    for lumens, temperature in ((-1, None), (np.nan, None), (None, 99)):
         with pytest.raises(LumitreeError, match="expected"):
-            lumitree.Placement("a.lumitree", **options)
+            lumitree.Placement("a.lumitree", lumens=lumens, temperature=temperature)
 
 
 def placed_flux(mi, placement):
@@ -138,20 +135,20 @@ def test_a_placed_lamp_has_the_lumens_and_the_colour(mi, asset, size):
 
 
 def test_temperature_alone_keeps_the_lumens_and_lumens_alone_the_colour(mi):
-    from lumitree.rendering.asset_flux import asset_watts, gain_to
+    from lumitree.rendering.asset_flux import asset_watts, factors_to
 
     watts = asset_watts(LIGHT_FIELD)
-    warm = watts * gain_to(watts, None, 2000, "lamp")
+    warm = watts * factors_to(watts, None, 2000, "lamp")
     assert luminance(warm) == pytest.approx(luminance(watts))
-    bright = watts * gain_to(watts, 10.0, None, "lamp")
+    bright = watts * factors_to(watts, 10.0, None, "lamp")
     np.testing.assert_allclose(bright / bright.sum(), watts / watts.sum())
     assert luminance(bright) == pytest.approx(10)
     with pytest.raises(LumitreeError, match="lamp emits no blue light, which 6500 K has"):
-        gain_to(np.array([1.0, 1.0, 0.0]), None, 6500, "lamp")
+        factors_to(np.array([1.0, 1.0, 0.0]), None, 6500, "lamp")
     with pytest.raises(LumitreeError, match="emits no light"):
-        gain_to(np.zeros(3), 10.0, None, "lamp")
+        factors_to(np.zeros(3), 10.0, None, "lamp")
     # A black body of 1000 K has no blue in linear sRGB.
-    assert gain_to(np.array([1.0, 1.0, 0.0]), None, 1000, "lamp")[2] == 0
+    assert factors_to(np.array([1.0, 1.0, 0.0]), None, 1000, "lamp")[2] == 0
 
 
 ROOM = (

@@ -17,6 +17,13 @@ def material_of(tmp_path, gltf, fields, notes="", **options):
     return read_only(gltf.save(tmp_path), notes).materials[0]
 
 
+def images_of(tmp_path, gltf, fields, notes=""):
+    """As `material_of`, and a function of a texture that returns its pixels."""
+    gltf.quad(gltf.material(**fields))
+    model = read_only(gltf.save(tmp_path), notes)
+    return model.materials[0], lambda texture: model.images[texture.image]
+
+
 def read_only(path, notes="", variant=None):
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")

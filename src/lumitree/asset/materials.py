@@ -1,8 +1,8 @@
 """The materials that the geometry of an asset may have: BSDF plugins of Mitsuba, one class each.
 
-A parameter that is None has Mitsuba's default. No parameter names a file. Mitsuba
-makes the BSDF of every material that `check_material` accepts, and its values are finite and not
-negative.
+They are the materials of lamps, from importers and scenes to exporters and the viewer. A parameter
+that is None has Mitsuba's default. No parameter names a file. Mitsuba makes the BSDF of every
+material that `check_material` accepts, and its values are finite and not negative.
 docs/format.md has the same rules in words, and `asset.geometry_file` reads and writes materials.
 """
 
@@ -16,6 +16,7 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.core.images import linear_from_srgb
 from lumitree.core.photometry import RGB
 from lumitree.errors import LumitreeError, shown
 
@@ -23,6 +24,7 @@ Range = tuple[float, float]
 Matrix = tuple[tuple[float, ...], ...]
 # Pixels of an image of an asset.
 Image = NDArray[np.uint8] | NDArray[np.float32]
+_IDENTITY: Matrix = tuple(map(tuple, np.eye(4).tolist()))
 
 _MAX_COLOUR, _MAX_RADIANCE, _MAX_TRANSFORM = 1e4, 1e15, 1e4
 # Colours of vertices, and numbers that are parts of a whole.
@@ -75,9 +77,17 @@ class Texture:
 
     image: int
     raw: bool
-    filter_type: Literal["bilinear", "nearest"]
-    wrap_mode: Literal["repeat", "mirror", "clamp"]
-    to_uv: Matrix
+    filter_type: Literal["bilinear", "nearest"] = "bilinear"
+    wrap_mode: Literal["repeat", "mirror", "clamp"] = "repeat"
+    to_uv: Matrix = _IDENTITY
+
+    def linear(self, images: Sequence[Image]) -> NDArray[np.float32]:
+        """Linear values [H, W, C] of its image, of the images of the geometry."""
+        image = images[self.image]
+        if image.dtype != np.uint8:
+            return image.astype(np.float32, copy=False)
+        values = image / np.float32(255)
+        return values if self.raw else linear_from_srgb(values)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -271,7 +281,7 @@ class ThinDielectric(Glass, plugin="thindielectric"):
     """A clear sheet, with the reflections between its two sides."""
 
 
-class RoughDielectric(Glass, Microfacets, plugin="roughdielectric"):
+class RoughDielectric(Microfacets, Glass, plugin="roughdielectric"):
     """Frosted glass."""
 
 
@@ -288,7 +298,7 @@ class Conductor(Metal, plugin="conductor"):
     """A smooth metal."""
 
 
-class RoughConductor(Metal, Microfacets, plugin="roughconductor"):
+class RoughConductor(Microfacets, Metal, plugin="roughconductor"):
     """A rough metal."""
 
 
@@ -342,20 +352,20 @@ class PrincipledThin(DisneyMaterial, plugin="principledthin"):
 
 
 class MetallicRoughness(Material, plugin="lumitree_metallic_roughness"):
-    """The material of glTF 2.0, see `lamp.metallic_roughness`."""
+    """The material of glTF 2.0, and its defaults; `lamp.metallic_roughness` renders it."""
 
-    base_color: Colour | None = None
-    eta: Eta | None = None
-    thin: Flag | None = None
-    diff_trans: DiffuseTransmission | None = None
-    metallic: Number | None = None
-    roughness: Number | None = None
-    anisotropic: Number | None = None
-    specular: Number | None = None
-    spec_trans: Number | None = None
-    clearcoat: Number | None = None
-    clearcoat_roughness: Number | None = None
-    sheen: Number | None = None
+    base_color: Colour = 0.5
+    metallic: Number = 0.0
+    roughness: Number = 0.5
+    anisotropic: Number = 0.0
+    eta: Eta = 1.5
+    specular: Number = 1.0
+    sheen: Number = 0.0
+    clearcoat: Number = 0.0
+    clearcoat_roughness: Number = 0.0
+    spec_trans: Number = 0.0
+    diff_trans: DiffuseTransmission = 0.0
+    thin: Flag = False
 
 
 class Mask(Material, plugin="mask", num_nested=(1,)):
@@ -468,7 +478,7 @@ def transmits(material: Material) -> bool:
         case Principled():
             return _occurs(material.spec_trans)
         case MetallicRoughness():
-            diffuse = bool(material.thin) and _occurs(material.diff_trans)
+            diffuse = material.thin and _occurs(material.diff_trans)
             return diffuse or _occurs(material.spec_trans)
         case TwoSided():
             return False

@@ -38,7 +38,7 @@ from lumitree.asset.materials import (
     VertexColours,
 )
 from lumitree.core.photometry import RGB
-from lumitree.lamp.scene_writer import normal_reflectance
+from lumitree.lamp.materials import normal_reflectance
 
 WHITE: RGB = (1.0, 1.0, 1.0)
 # Mitsuba's alpha of microfacets.

@@ -21,6 +21,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.asset.materials import Diffuse
 from lumitree.core.file_kinds import in_utf8
 from lumitree.core.files import write_bytes
 from lumitree.core.frames import rotation, similarity
@@ -28,11 +29,12 @@ from lumitree.core.photometry import radiance_from_flux
 from lumitree.errors import LumitreeError, shown
 from lumitree.formats.opening import Opening
 from lumitree.formats.reading import Archive, number_of, parse_xml
-from lumitree.lamp.importers.model_files import num_pixels
+from lumitree.lamp.importers.model_files import Images, num_pixels
 from lumitree.lamp.importers.obj import part_names, read_obj
 from lumitree.lamp.importers.overrides import emitting_area
+from lumitree.lamp.materials import WHITE, Material
 from lumitree.lamp.meshes import Mesh
-from lumitree.lamp.parts import WHITE, Diffuse, Geometry, Material, Names, Part
+from lumitree.lamp.parts import Geometry, Names, Part
 
 KIND = "an L3D model"
 _STRUCTURE = "structure.xml"
@@ -266,6 +268,7 @@ class _Builder:
         self._archive, self._lumens, self._folder = archive, lumens, folder
         self._read: dict[tuple[object, ...], Geometry] = {}
         self._names, self._triangles, self._pixels = Names("-"), 0, 0
+        self._images = Images()
         self._parts: list[Part] = []
         self._materials: dict[str, Material] = {}
         # For luminous materials: the light emitting object, and the weight of its area.
@@ -278,7 +281,8 @@ class _Builder:
         for each in model.objects:
             if self._lumens.get(each.name, 0) > 0 and each.name not in emitting:
                 self._add_shape(each)
-        geometry = Geometry(tuple(self._parts), tuple(self._materials.values()))
+        images = tuple(self._images.pixels)
+        geometry = Geometry(tuple(self._parts), tuple(self._materials.values()), images)
         return dataclasses.replace(geometry, materials=self._emitting(geometry))
 
     def _add(self, part: L3dPart) -> None:
@@ -306,7 +310,7 @@ class _Builder:
 
     def _luminous(self, name: str, weight: float) -> Material:
         """A new luminous material, black and without its radiance."""
-        material = Material(f"{_LIGHT}{len(self._lit)}", Diffuse((0.0, 0.0, 0.0)))
+        material = Material(f"{_LIGHT}{len(self._lit)}", Diffuse(reflectance=(0.0, 0.0, 0.0)))
         self._lit[material.name] = (name, weight)
         return material
 
@@ -373,7 +377,7 @@ class _Builder:
             write_bytes(folder / _LIGHTS, mtl.encode())
             libraries = any(name.lower().endswith(".mtl") for name in names)
             write_bytes(path, _marked(content, dict(lit), libraries))
-            self._read[key] = read_obj(path)
+            self._read[key] = read_obj(path, images=self._images)
         return self._read[key]
 
 

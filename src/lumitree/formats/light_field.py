@@ -31,7 +31,7 @@ from lumitree.errors import LumitreeError
 from lumitree.formats.opening import Opening
 from lumitree.formats.tm25 import Rays
 from lumitree.formats.type_c import IntensityDistribution
-from lumitree.lamp.parts import WHITE
+from lumitree.lamp.materials import WHITE
 from lumitree.trace.histograms import Histogram
 from lumitree.trace.light_field_config import LEAST_DEPTH, LightFieldConfig
 

@@ -129,12 +129,7 @@ def builtin_luminaires() -> dict[str, dict[str, Any]]:
         W/(m² sr); `size`, the sides of the bounding box, m; and `has_media`, whether there are
         participating media.
     """
-    from lumitree.lamp.parts import figures
-
-    return {
-        name: {"description": item.description, **dataclasses.asdict(figures(item.build()))}
-        for name, item in BUILTIN.items()
-    }
+    return {name: lamp.figures() for name, lamp in BUILTIN.items()}
 
 
 @in_turn

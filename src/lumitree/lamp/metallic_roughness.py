@@ -67,16 +67,9 @@ MIN_ALPHA, _MIN_COSINE = 1e-3, 1e-4
 _registered: set[str | None] = set()
 # Parameters that may be textures, and their defaults.
 _DEFAULTS = {
-    "base_color": 0.5,
-    "metallic": 0.0,
-    "roughness": 0.5,
-    "anisotropic": 0.0,
-    "specular": 1.0,
-    "spec_trans": 0.0,
-    "diff_trans": 0.0,
-    "clearcoat": 0.0,
-    "clearcoat_roughness": 0.0,
-    "sheen": 0.0,
+    name: value
+    for name, value in MetallicRoughness().parameters.items()
+    if name != "eta" and isinstance(value, float)
 }
 # Reflectance of the clear coat at normal incidence; and a bound of the variance of Schlick's factor
 # over the hemisphere: two layers transmit more than the product of their mean transmittances.
@@ -532,7 +525,10 @@ def _bsdf_class() -> type:
             self.textures = {
                 name: props.get_texture(name, value) for name, value in _DEFAULTS.items()
             }
-            ior, self.thin = float(props.get("eta", 1.5)), bool(props.get("thin", False))
+            ior, self.thin = (
+                float(props.get("eta", MetallicRoughness.eta)),
+                bool(props.get("thin", False)),
+            )
             self.absent |= set() if self.thin else {"diff_trans"}
             self.eta = parameter(mi.Float, ior)
             self.f0 = parameter(mi.Float, ((ior - 1) / (ior + 1)) ** 2)

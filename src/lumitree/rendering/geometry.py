@@ -46,7 +46,7 @@ def geometry_shapes(scene_from_world: NDArray[np.float64], lamp: Any) -> list[mi
 
     Args:
         scene_from_world: [4, 4] similarity, from the frame of the luminaire's file to the scene.
-        lamp: the `PlacedLamp` at this place; its gain applies to the shapes too.
+        lamp: the `PlacedLamp` at this place, whose factor applies to the shapes too.
     """
     geometry = lamp.asset.geometry
     assert geometry is not None

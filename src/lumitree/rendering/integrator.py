@@ -82,8 +82,8 @@ class PathState:
     specular_chain: mi.Bool            # Whether all vertices so far were specular
     self_emission: mi.UInt32           # Lamp on which `si_prev` is, whose shapes' emission counts
     on_lamp: mi.UInt32                 # Lamp on which `si_prev` is, or `NONE`
-    bent_by: mi.UInt32                 # Lamps whose glass the ray has crossed since
-    skipped: mi.UInt32                 # Lamps without light in the box where the ray starts
+    bent_by: list[mi.UInt32]           # Lamps whose glass the ray has crossed since (`Owners.add`)
+    skipped: list[mi.UInt32]           # Lamps without light in the box where the ray starts
     # fmt: on
 
     @classmethod
@@ -110,8 +110,8 @@ class PathState:
             specular_chain=mi.Bool(True),
             self_emission=mi.UInt32(NONE),
             on_lamp=mi.UInt32(NONE),
-            bent_by=mi.UInt32(0),
-            skipped=mi.UInt32(0),
+            bent_by=[],
+            skipped=[],
         )
 
     @classmethod
@@ -349,6 +349,7 @@ def trace_paths(
     surfaces = scene.divided.surfaces
     largest_depth = mi.UInt32(max_depth % (1 << 32))  # no limit: the largest number
     path.record = scene.layers.start()
+    path.bent_by, path.skipped = (scene.divided.owners.no_lamps() for _ in range(2))
     path.valid_ray |= scene.whole.environment() is not None and not scene.hide_emitters
     if dr.hint(scene.has_scattering, mode="scalar"):
         path.channel = medium_paths.draw_channel(sampler)
@@ -508,7 +509,9 @@ def end_segment(scene: PathScene, path: PathState, free_flight: FreeFlight) -> H
         if owners.scatter:
             owner = dr.select(hit_medium, owners.of_medium(path.medium, hit_medium), owner)
         shown |= (owner == path.self_emission) & (owner != NONE)
-        straight = (owner != path.on_lamp) & ((path.bent_by & owners.bit(owner, hit_surface)) == 0)
+        straight = owner != path.on_lamp
+        for lamp in path.bent_by:
+            straight &= owner != lamp
     return Hit(si, si.bsdf(path.ray), hit_surface, hit_medium, owner, shown, straight)
 
 
@@ -642,7 +645,7 @@ def visible(
         crossed &= lamp != NONE
         # Lamps that overlap attenuate all light of each other, as along rays that enter both.
         whole = mi.Ray3f(ray)
-        whole.maxt = dr.select(scene.divided.owners.bit(target, active) != 0, dr.inf, ray.maxt)
+        whole.maxt = dr.select(scene.divided.owners.is_lamp(target, active), dr.inf, ray.maxt)
         while crossed:
             emitter = scene.emitter(lamp, crossed)
             attenuated = scene.lamps.call("transmittance", emitter, whole, distance, crossed)
@@ -810,7 +813,7 @@ def scatter(scene: PathScene, path: PathState, vertex: Vertex, scattering: Scatt
         # Radiance is not compressed, as it would be in a denser medium.
         path.β[crossed] *= dr.square(bs.eta)
         bs.wo.z = dr.select(vertex.behind, -bs.wo.z, bs.wo.z)
-        path.bent_by[crossed] |= owners.bit(vertex.owner, active)
+        owners.add(path.bent_by, vertex.owner, crossed)
     bounces = active & ~null
     path.β[active] *= scattering.weight
     path.η[bounces & vertex.active_surface] *= bs.eta
@@ -822,12 +825,14 @@ def scatter(scene: PathScene, path: PathState, vertex: Vertex, scattering: Scatt
     path.bsdf_delta_prev[bounces] = delta
     path.specular_chain &= ~bounces | path.bsdf_delta_prev
     # A ray that goes on behind a surface of a lamp has the lamp's light already.
-    path.skipped[bounces] = 0
+    for lamp in path.skipped:
+        lamp[bounces] = NONE
     if scene.shows_geometry:
         path.self_emission[bounces] = dr.select(vertex.shown, vertex.owner, NONE)
         path.on_lamp[bounces] = vertex.owner
-        path.bent_by[bounces] = 0
-        path.skipped[bounces | null] |= owners.bit(vertex.owner, active)
+        for lamp in path.bent_by:
+            lamp[bounces] = NONE
+        owners.add(path.skipped, vertex.owner, bounces | null)
     path.depth[bounces] += 1
     path.crossings[null] += 1
     if owners.scatter:

@@ -23,7 +23,7 @@ from lumitree.lamp.scene_file import SceneFile
 from lumitree.lamp.scene_shapes import SceneShape, check_evaluates, reusable_shapes, shapes_of_scene
 from lumitree.lamp.source import LuminaireSource
 from lumitree.rendering.asset_cache import open_asset
-from lumitree.rendering.asset_flux import asset_watts, gain_to
+from lumitree.rendering.asset_flux import asset_watts, factors_to
 from lumitree.rendering.emitter import Appearance, Sampling, shows_geometry
 from lumitree.rendering.layers import records_layers
 from lumitree.rendering.objects import load_ordered
@@ -71,18 +71,14 @@ class PlacedLuminaire:
         self.scene_from_world = scene_from_local @ frame.local_from_world
         self.scene_from_box = scene_from_local @ np.diag([*frame.half_extents, 1])
         # Factors [3] on its light, for its `gain`, `lumens` and `temperature`.
-        scale = similarity_scale(scene_from_local, "placement") / frame.scale
-        self.gain = self._gain(scale, metres)
-
-    def _gain(self, scale: float, metres: float) -> tuple[float, float, float]:
-        """The gain of a lamp whose lengths in the scene are `scale` times its file's."""
-        placement, gain = self.placement, np.array(check_gain(self.placement.gain))
-        asset = self.asset
-        if asset is not None and (placement.lumens, placement.temperature) != (None, None):
-            grown = 1.0 if asset.is_photometric else scale
-            watts = asset_watts(asset) * (grown * metres) ** 2
-            gain *= gain_to(watts, placement.lumens, placement.temperature, placement.name)
-        return check_gain(gain)
+        self.gain = check_gain(placement.gain)
+        wanted = placement.lumens, placement.temperature
+        if self.asset is not None and wanted != (None, None):
+            scale = similarity_scale(scene_from_local, "placement") / frame.scale
+            grown = 1.0 if self.asset.is_photometric else scale
+            watts = asset_watts(self.asset) * (grown * metres) ** 2
+            factors = factors_to(watts, *wanted, placement.name)
+            self.gain = check_gain(factors * self.gain)
 
     @property
     def title(self) -> str:

@@ -3,20 +3,21 @@
 import numpy as np
 import pytest
 
-from lumitree.asset.materials import VertexColours
+from lumitree.asset.materials import MetallicRoughness, Texture, VertexColours
 from lumitree.core.images import linear_from_srgb
 from lumitree.errors import LumitreeError
 from lumitree.lamp.importers.gltf import read_gltf
-from lumitree.lamp.parts import MetallicRoughness, Texture
 from support.gltf_builder import QUAD, QUAD_FACES, QUAD_UV, Gltf, box
-from support.gltf_materials import RAMP, extended, material_of, read_only
+from support.gltf_materials import RAMP, extended, images_of, material_of, read_only
 
 
 def test_the_default_material(tmp_path):
     gltf = Gltf()
     gltf.quad()
     (material,) = read_only(gltf.save(tmp_path)).materials
-    assert material.surface == MetallicRoughness((1.0, 1.0, 1.0), metallic=1.0, roughness=1.0)
+    assert material.surface == MetallicRoughness(
+        base_color=(1.0, 1.0, 1.0), metallic=1.0, roughness=1.0
+    )
     assert material.radiance is None
     assert material.opacity == 1
     assert material.normal_map is None
@@ -27,7 +28,9 @@ def test_factors(tmp_path):
     core = {"baseColorFactor": [0.1, 0.2, 0.3, 1], "metallicFactor": 0.4, "roughnessFactor": 0.6}
     fields = {"pbrMetallicRoughness": core, "doubleSided": True, "name": "brass knob"}
     material = material_of(tmp_path, Gltf(), fields)
-    assert material.surface == MetallicRoughness((0.1, 0.2, 0.3), metallic=0.4, roughness=0.6)
+    assert material.surface == MetallicRoughness(
+        base_color=(0.1, 0.2, 0.3), metallic=0.4, roughness=0.6
+    )
     assert material.two_sided
     assert material.name == "brass_knob"
 
@@ -35,12 +38,13 @@ def test_factors(tmp_path):
 def test_textures_keep_their_bytes_without_factors(tmp_path):
     gltf = Gltf()
     core = {"baseColorTexture": gltf.texture(RAMP), "metallicRoughnessTexture": gltf.texture(RAMP)}
-    surface = material_of(tmp_path, gltf, {"pbrMetallicRoughness": core}).surface
-    assert surface.base_color.encoded
-    np.testing.assert_array_equal(surface.base_color.pixels, RAMP)
+    material, pixels = images_of(tmp_path, gltf, {"pbrMetallicRoughness": core})
+    surface = material.surface
+    assert not surface.base_color.raw
+    np.testing.assert_array_equal(pixels(surface.base_color), RAMP)
     for value, channel in ((surface.roughness, 1), (surface.metallic, 2)):
-        assert not value.encoded
-        np.testing.assert_array_equal(value.pixels, RAMP[..., channel : channel + 1])
+        assert value.raw
+        np.testing.assert_array_equal(pixels(value), RAMP[..., channel : channel + 1])
 
 
 def test_factors_are_baked_into_textures(tmp_path):
@@ -52,11 +56,12 @@ def test_factors_are_baked_into_textures(tmp_path):
         "metallicFactor": 0.5,
         "roughnessFactor": 0.25,
     }
-    surface = material_of(tmp_path, gltf, {"pbrMetallicRoughness": core}).surface
-    found = linear_from_srgb(surface.base_color.pixels / 255)
+    material, pixels = images_of(tmp_path, gltf, {"pbrMetallicRoughness": core})
+    surface = material.surface
+    found = linear_from_srgb(pixels(surface.base_color) / 255)
     np.testing.assert_allclose(found, linear_from_srgb(RAMP / 255) * (0.5, 0.25, 0), atol=0.004)
-    np.testing.assert_allclose(surface.metallic.pixels, RAMP[..., 2:] * 0.5, atol=0.51)
-    np.testing.assert_allclose(surface.roughness.pixels, RAMP[..., 1:2] * 0.25, atol=0.51)
+    np.testing.assert_allclose(pixels(surface.metallic), RAMP[..., 2:] * 0.5, atol=0.51)
+    np.testing.assert_allclose(pixels(surface.roughness), RAMP[..., 1:2] * 0.25, atol=0.51)
 
 
 def two_sets(gltf, first, second):
@@ -91,9 +96,9 @@ def test_masks(tmp_path, cutoff):
     pixels[..., 3] = np.arange(8) * 36
     core = {"baseColorTexture": gltf.texture(pixels), "baseColorFactor": [1, 1, 1, 0.8]}
     fields = {"pbrMetallicRoughness": core, "alphaMode": "MASK", "alphaCutoff": cutoff}
-    opacity = material_of(tmp_path, gltf, fields).opacity
+    material, found = images_of(tmp_path, gltf, fields)
     expected = pixels[..., 3] / 255 * 0.8 >= cutoff
-    np.testing.assert_array_equal(opacity.pixels[..., 0], 255 * expected)
+    np.testing.assert_array_equal(found(material.opacity)[..., 0], 255 * expected)
 
 
 def test_blending_and_opaque(tmp_path):
@@ -105,8 +110,8 @@ def test_blending_and_opaque(tmp_path):
     pixels = np.dstack([RAMP, RAMP[..., 0]])
     core = {"baseColorTexture": gltf.texture(pixels)}
     fields = {"pbrMetallicRoughness": core, "alphaMode": "BLEND"}
-    opacity = material_of(tmp_path, gltf, fields).opacity
-    np.testing.assert_array_equal(opacity.pixels, RAMP[..., :1])
+    material, found = images_of(tmp_path, gltf, fields)
+    np.testing.assert_array_equal(found(material.opacity), RAMP[..., :1])
 
 
 def test_emission(tmp_path):
@@ -117,11 +122,12 @@ def test_emission(tmp_path):
     assert radiance == pytest.approx(np.array([20, 10, 5]) / 683)
     gltf = Gltf()
     fields["emissiveTexture"] = gltf.texture(RAMP)
-    radiance = material_of(tmp_path, gltf, fields).radiance
-    assert radiance.pixels.dtype == np.float32
-    assert not radiance.encoded
+    material, pixels = images_of(tmp_path, gltf, fields)
+    radiance = pixels(material.radiance)
+    assert radiance.dtype == np.float32
+    assert material.radiance.raw
     np.testing.assert_allclose(
-        radiance.pixels, linear_from_srgb(RAMP / 255) * (20, 10, 5) / 683, rtol=1e-5
+        radiance, linear_from_srgb(RAMP / 255) * (20, 10, 5) / 683, rtol=1e-5
     )
     gltf = Gltf()
     fields["emissiveTexture"] = gltf.texture(np.zeros((2, 2, 3)))
@@ -140,12 +146,12 @@ def test_normal_maps(tmp_path):
     gltf = Gltf()
     pixels = np.full((2, 2, 3), (191, 64, 230))
     fields = {"normalTexture": gltf.texture(pixels) | {"scale": 0.5}}
-    found = material_of(tmp_path, gltf, fields).normal_map
+    material, found = images_of(tmp_path, gltf, fields)
     normal = pixels[0, 0] / 255 * 2 - 1
     normal[:2] *= 0.5
     normal /= np.linalg.norm(normal)
-    assert not found.encoded
-    np.testing.assert_allclose(found.pixels[0, 0] / 255 * 2 - 1, normal, atol=0.005)
+    assert material.normal_map.raw
+    np.testing.assert_allclose(found(material.normal_map)[0, 0] / 255 * 2 - 1, normal, atol=0.005)
 
 
 def test_mirrored_coordinates_get_normals_of_their_own(tmp_path):
@@ -161,7 +167,8 @@ def test_mirrored_coordinates_get_normals_of_their_own(tmp_path):
     found = {}
     for part in model.parts:
         material = next(entry for entry in model.materials if entry.name == part.material)
-        found[part.mesh.vertices[:, 0].min() > 1] = material.normal_map.pixels[0, 0].astype(int)
+        normals = model.images[material.normal_map.image]
+        found[part.mesh.vertices[:, 0].min() > 1] = normals[0, 0].astype(int)
     np.testing.assert_allclose(found[False] - found[True], (0, 51 - 204, 0), atol=2)
 
 
@@ -221,9 +228,9 @@ def test_other_image_formats(tmp_path, kind):
         "extensions": {"EXT_texture_webp": {"source": source}}
     }  # fmt: skip
     core = {"baseColorTexture": {"index": gltf.add("textures", **texture)}}
-    surface = material_of(tmp_path, gltf, {"pbrMetallicRoughness": core}).surface
-    found = surface.base_color
-    mean = found.pixels.mean(axis=(0, 1)) if isinstance(found, Texture) else None
+    material, pixels = images_of(tmp_path, gltf, {"pbrMetallicRoughness": core})
+    found = material.surface.base_color
+    mean = pixels(found).mean(axis=(0, 1)) if isinstance(found, Texture) else None
     expected = linear_from_srgb(np.array([200, 100, 50]) / 255)
     np.testing.assert_allclose(
         found if mean is None else linear_from_srgb(np.array(mean) / 255), expected, atol=0.02

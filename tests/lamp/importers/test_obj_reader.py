@@ -1,15 +1,25 @@
 """OBJ models as a whole: parts, materials, textures, and files that reach out of their folder."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 import trimesh
 from PIL import Image
 
-from lumitree.asset.materials import VertexColours
+from lumitree.asset.materials import (
+    Dielectric,
+    Diffuse,
+    MetallicRoughness,
+    Texture,
+    ThinDielectric,
+    VertexColours,
+    places_on_image,
+)
 from lumitree.errors import LumitreeWarning
 from lumitree.lamp.importers.obj import read_obj
 from lumitree.lamp.importers.topology import count_solids
-from lumitree.lamp.parts import Diffuse, Glass, Metal, MetallicRoughness, Texture
+from lumitree.lamp.materials import metal
 
 QUAD = "v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
 
@@ -42,6 +52,17 @@ def quad(model):
 
     def read(lines):
         return model(QUAD + "usemtl a\nf 1/1 2/2 3/3 4/4", "newmtl a\n" + lines).materials[0]
+
+    return read
+
+
+@pytest.fixture
+def textured(model):
+    """Function of the lines of a quad's MTL block: its material, and the pixels of a texture."""
+
+    def read(lines):
+        found = model(QUAD + "usemtl a\nf 1/1 2/2 3/3 4/4", "newmtl a\n" + lines)
+        return found.materials[0], lambda texture: found.images[texture.image]
 
     return read
 
@@ -121,7 +142,7 @@ PAINTED = "v -1 -1 0 1 0 0\nv 1 -1 0 1 0 0\nv 1 1 0 0 0 1\nv -1 1 0 0 0 1\nvt 0 
 def test_vertex_colours_times_kd(model, tmp_path):
     text = PAINTED + "usemtl a\nf 1/1 2/1 3/1 4/1"
     lamp = model(text, "newmtl a\nKd 0.5 0.5 0.25\nKe 1 2 3")
-    assert lamp.materials[0].surface == Diffuse(VertexColours())
+    assert lamp.materials[0].surface == Diffuse(reflectance=VertexColours())
     assert lamp.materials[0].radiance == (1, 2, 3)
     mesh = lamp.parts[0].mesh
     np.testing.assert_allclose(mesh.colours[mesh.vertices[:, 1] < 0], [[0.5, 0, 0]] * 2)
@@ -131,7 +152,7 @@ def test_vertex_colours_times_kd(model, tmp_path):
     glossy = model(text, "newmtl a\nKs 0.5 0.5 0.5").materials[0].surface
     assert glossy.base_color == VertexColours()
     with pytest.warns(LumitreeWarning, match="or to have the colours of its vertices"):
-        assert model(text).materials[0].surface == Diffuse(VertexColours())
+        assert model(text).materials[0].surface == Diffuse(reflectance=VertexColours())
 
 
 def test_vertex_colours_that_are_not_used(model, tmp_path):
@@ -170,7 +191,7 @@ def test_open_sheets_are_wound_as_their_normals_point(model):
 
 def test_model_without_materials_is_grey(model):
     lamp = model(QUAD + "f 1 2 3 4")
-    assert lamp.materials[0].surface == Diffuse((0.5, 0.5, 0.5))
+    assert lamp.materials[0].surface == Diffuse(reflectance=(0.5, 0.5, 0.5))
     with pytest.warns(LumitreeWarning, match=r"'lamp.mtl', which is not there"):
         assert model("mtllib lamp.mtl\n" + QUAD + "f 1 2 3").materials[0].radiance is None
 
@@ -183,37 +204,39 @@ def test_faces_without_area_leave_no_part(model):
 @pytest.mark.parametrize("lines", ["illum 4", "illum 6", "illum 7", "illum 9", "d 0.5\nNi 1.45"])
 def test_glass_is_thin_where_it_is_open_and_solid_where_it_is_closed(quad, ball, lines):
     thin, solid = quad(lines + "\nTf 0.25 1 1"), ball(lines + "\nTf 0.25 1 1")
-    assert isinstance(thin.surface, Glass)
-    assert thin.surface.thin
-    assert not solid.surface.thin
+    assert isinstance(thin.surface, ThinDielectric)
+    assert isinstance(solid.surface, Dielectric)
     assert thin.opacity == solid.opacity == 1
-    assert thin.surface.ior == (1.45 if "Ni" in lines else 1.5)
+    assert thin.surface.int_ior == (1.45 if "Ni" in lines else 1.5)
     # Light crosses a sheet once and a solid's surface twice.
-    assert thin.surface.tint == (0.25, 1, 1)
-    assert solid.surface.tint == (0.5, 1, 1)
-    assert not thin.two_sided
+    assert thin.surface.specular_transmittance == (0.25, 1, 1)
+    assert solid.surface.specular_transmittance == (0.5, 1, 1)
+    assert thin.bsdf == thin.surface
 
 
 def test_partly_closed_glass_is_reported(model):
     ball = trimesh.creation.icosphere(subdivisions=1)
     text = obj_text(ball, "a") + "v 5 0 0\nv 6 0 0\nv 5 1 0\nf -3 -2 -1\n"
     with pytest.warns(LumitreeWarning, match="'a': 1 of 2 pieces are closed"):
-        assert model(text, "newmtl a\nillum 7").materials[0].surface.thin
+        surface = model(text, "newmtl a\nillum 7").materials[0].surface
+    assert isinstance(surface, ThinDielectric)
 
 
 def test_other_surfaces(quad):
-    assert quad("Kd 0.2 0.3 0.4").surface == Diffuse((0.2, 0.3, 0.4))
-    assert quad("Kd 0.2 0.3 0.4\nKs 1 1 1\nillum 1").surface == Diffuse((0.2, 0.3, 0.4))
-    metal = quad("Kd 0 0 0\nKs 0.9 0.8 0.7\nNs 198\nillum 3").surface
-    assert metal == Metal((0.9, 0.8, 0.7), pytest.approx(0.01**0.25))
+    assert quad("Kd 0.2 0.3 0.4").surface == Diffuse(reflectance=(0.2, 0.3, 0.4))
+    assert quad("Kd 0.2 0.3 0.4\nKs 1 1 1\nillum 1").surface == Diffuse(reflectance=(0.2, 0.3, 0.4))
+    mirror = quad("Kd 0 0 0\nKs 0.9 0.8 0.7\nNs 198\nillum 3").surface
+    assert mirror == dataclasses.replace(
+        metal((0.9, 0.8, 0.7), 0.3), roughness=pytest.approx(0.01**0.25)
+    )
     glossy = quad("Kd 0.2 0.3 0.4\nKs 0.5 0.5 0.5\nNs 198\nNi 1.33").surface
     assert glossy == MetallicRoughness(
-        (0.2, 0.3, 0.4), roughness=pytest.approx(0.01**0.25), ior=1.33
+        base_color=(0.2, 0.3, 0.4), roughness=pytest.approx(0.01**0.25), eta=1.33
     )
     physical = quad("Kd 1 0 0\nPr 0.3\nPm 1\nPs 0.1\nPc 0.5\nPcr 0.2\naniso 0.4").surface
     assert physical == MetallicRoughness(
-        (1, 0, 0), metallic=1, roughness=0.3, anisotropy=0.4, sheen=0.1, clearcoat=0.5,
-        clearcoat_roughness=0.2,
+        base_color=(1, 0, 0), metallic=1, roughness=0.3, anisotropic=0.4, sheen=0.1,
+        clearcoat=0.5, clearcoat_roughness=0.2,
     )  # fmt: skip
 
 
@@ -227,22 +250,24 @@ def test_opacity_and_emission(quad):
     assert quad("Kd 1 1 1").two_sided
 
 
-def test_textures(quad, tmp_path):
+def test_textures(textured, tmp_path):
     pixels = np.zeros((4, 2, 4), np.uint8)
     pixels[:2] = [255, 0, 0, 255]
     pixels[2:] = [0, 128, 0, 51]
     image(tmp_path / "a.png", pixels)
-    found = quad("map_Kd -s 2 3 -o 0.25 0.5 -clamp on a.png\nmap_d a.png\nmap_Ke a.png\nKe 7 7 7")
+    lines = "map_Kd -s 2 3 -o 0.25 0.5 -clamp on a.png\nmap_d a.png\nmap_Ke a.png\nKe 7 7 7"
+    found, image_of = textured(lines)
     base = found.surface.reflectance
-    assert base.encoded
-    assert base.wrap == "clamp"
-    np.testing.assert_array_equal(base.pixels, pixels[..., :3])
+    assert not base.raw
+    assert base.wrap_mode == "clamp"
+    np.testing.assert_array_equal(image_of(base), pixels[..., :3])
     # v = 0.25 from the bottom is 3 * 0.25 + 0.5 = 1.25 in the file's image, -0.25 from its top.
-    np.testing.assert_allclose(base.uv_transform @ [0.5, 0.75, 1], [1.25, -0.25, 1])
-    np.testing.assert_array_equal(found.opacity.pixels, pixels[..., 3:])
-    assert not found.opacity.encoded
-    np.testing.assert_allclose(found.radiance.pixels[0, 0], [7, 0, 0])
-    assert found.radiance.pixels[3, 0, 1] == pytest.approx(7 * 0.2158605, rel=1e-4)
+    place = places_on_image(base.to_uv, np.array([[0.5, 0.75]]))
+    np.testing.assert_allclose(place, [[1.25, -0.25]])
+    np.testing.assert_array_equal(image_of(found.opacity), pixels[..., 3:])
+    assert found.opacity.raw
+    np.testing.assert_allclose(image_of(found.radiance)[0, 0], [7, 0, 0])
+    assert image_of(found.radiance)[3, 0, 1] == pytest.approx(7 * 0.2158605, rel=1e-4)
 
 
 @pytest.mark.parametrize("signs", [(1,), (-1,), (1, -1)], ids=str)
@@ -262,16 +287,17 @@ def test_normal_maps_are_turned_round_on_mirrored_coordinates(model, tmp_path, s
     for part, sign in zip(found.parts, signs, strict=True):
         assert len(part.mesh.faces) == 2
         assert (material[part.material].name == "a") == (sign > 0)
-        green = material[part.material].normal_map.pixels[..., 1]
+        green = found.images[material[part.material].normal_map.image][..., 1]
         assert (green == (204 if sign > 0 else 51)).all()
 
 
-def test_normal_maps_and_height_maps(quad, tmp_path):
+def test_normal_maps_and_height_maps(quad, textured, tmp_path):
     tilted = np.array([0.6, 0.0, 0.8])
     image(tmp_path / "n.png", np.full((4, 4, 3), np.round((tilted + 1) * 127.5)))
     image(tmp_path / "grey.png", np.full((4, 4, 3), 90))
     assert isinstance(quad("norm n.png").normal_map, Texture)
-    halved = quad("map_Bump -bm 0.5 n.png").normal_map.pixels[0, 0] / 127.5 - 1
+    scaled, image_of = textured("map_Bump -bm 0.5 n.png")
+    halved = image_of(scaled.normal_map)[0, 0] / 127.5 - 1
     assert halved[0] / halved[2] == pytest.approx(0.375, abs=0.02)
     with pytest.warns(LumitreeWarning, match=r"'a': not used: bump \(a height map"):
         assert quad("map_Bump grey.png").normal_map is None
@@ -302,11 +328,11 @@ def test_files_outside_the_folder_are_ignored_unless_they_are_beside_the_model(
     if where == "mtllib":
         obj, mtl = "mtllib ../outside.mtl\n" + obj, None
     with pytest.warns(LumitreeWarning, match="is not there|no MTL file"):
-        assert model(obj, mtl).materials[0].surface == Diffuse((0.5, 0.5, 0.5))
+        assert model(obj, mtl).materials[0].surface == Diffuse(reflectance=(0.5, 0.5, 0.5))
     if where == "mtllib":
         (tmp_path / "outside.mtl").write_text("newmtl a\nKd 1 0 0\n")
         with pytest.warns(LumitreeWarning, match="'outside.mtl' in the model's folder") as caught:
-            assert model(obj).materials[0].surface == Diffuse((1, 0, 0))
+            assert model(obj).materials[0].surface == Diffuse(reflectance=(1, 0, 0))
         assert len(caught) == 1
     quoted = model('mtllib "lamp.mtl"\n' + QUAD + "usemtl a\nf 1 2 3", "newmtl a\nKd 1 0 0")
-    assert quoted.materials[0].surface == Diffuse((1, 0, 0))
+    assert quoted.materials[0].surface == Diffuse(reflectance=(1, 0, 0))

@@ -5,10 +5,10 @@ import warnings
 import numpy as np
 import pytest
 
+from lumitree.asset.materials import Dielectric
 from lumitree.errors import LumitreeWarning
 from lumitree.lamp.importers.overrides import emitting_area
 from lumitree.lamp.meshes import area_normals
-from lumitree.lamp.parts import Glass
 from lumitree.lamp.read_source import read_model
 from lumitree.lamp.source import LuminaireSource
 from support.gltf_builder import QUAD, QUAD_FACES, Gltf, sphere
@@ -202,8 +202,7 @@ def test_a_repeated_ball_of_glass_is_one_solid(tmp_path, gltf):
     model, said = read(gltf.save(tmp_path))
     (part,) = (each for each in model.parts if each.material.startswith("glass"))
     (material,) = (each for each in model.materials if each.name == part.material)
-    assert isinstance(material.surface, Glass)
-    assert not material.surface.thin
+    assert isinstance(material.surface, Dielectric)
     assert len(said) == 1
     assert len(part.mesh.faces) == len(sphere(1.0, 12).faces)
     volume = (part.mesh.vertices[part.mesh.faces[:, 0]] * normals(model, "glass")).sum() / 3

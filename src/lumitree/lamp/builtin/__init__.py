@@ -11,7 +11,9 @@ where they are joined. Equal parts share one mesh.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from lumitree.lamp.builtin import bulbs, lanterns, neoclassical
 from lumitree.lamp.parts import Geometry
@@ -22,6 +24,22 @@ class Builtin(NamedTuple):
 
     description: str
     build: Callable[[], Geometry]
+
+    def figures(self) -> dict[str, Any]:
+        """The lamp in numbers, see `builtin_luminaires`."""
+        model = self.build()
+        radiances = [model.material(part).radiance for part in model.parts for _ in part.places]
+        emitted = [each for each in radiances if isinstance(each, tuple)]
+        points = [part.placed(at) for part in model.parts for at in range(len(part.places))]
+        x, y, z = np.ptp(np.concatenate(points), axis=0).tolist()
+        return {
+            "description": self.description,
+            "triangles": sum(len(part.mesh.faces) * len(part.places) for part in model.parts),
+            "emitters": len(emitted),
+            "emitted_radiance": max(map(max, emitted)),
+            "size": (x, y, z),
+            "has_media": any(model.material(part).medium is not None for part in model.parts),
+        }
 
 
 _PAPER = "stand-in for the paper's"

@@ -3,8 +3,8 @@
 import numpy as np
 
 from lumitree.asset.geometry import Medium
+from lumitree.asset.materials import MetallicRoughness
 from lumitree.lamp.builtin.fittings import (
-    BECKMANN,
     BLACK_STEEL,
     BRASS,
     GLASS,
@@ -19,11 +19,13 @@ from lumitree.lamp.builtin.fittings import (
     canopy,
     emitting,
     rod,
+    rough_metal,
     socket,
     strut,
 )
+from lumitree.lamp.materials import WHITE, Material, glass
 from lumitree.lamp.meshes import Floats, Mesh, join, lathe, moved, resample, smooth, sweep
-from lumitree.lamp.parts import Geometry, Glass, Material, Metal, MetallicRoughness, Part
+from lumitree.lamp.parts import Geometry, Part
 
 _BULBS_COUNT = 5
 _ARM_RADIUS = 0.125  # from the lamp's axis to a bulb's, metres
@@ -149,7 +151,7 @@ def build_cluster() -> Geometry:
         parts.append(Part(f"cable_{level + 1}", rod(-0.01, y + 0.045, 0.0022), "black", columns))
     for tint, sites in groups.items():
         parts += _cast_globe().parts(tint, sites, f"glass_{tint}", "filament")
-    glasses = [Material(f"glass_{tint}", Glass(medium=_TINTS[tint])) for tint in _TINTS]
+    glasses = [Material(f"glass_{tint}", glass(), medium=_TINTS[tint]) for tint in _TINTS]
     filament = emitting(TUNGSTEN, "filament", _CLUSTER_RADIANCE)
     return Geometry(tuple(parts), (BRASS, BLACK_STEEL, STEEL, *glasses, filament))
 
@@ -198,8 +200,8 @@ _BULB_OUTSIDE = ((0, -0.128), (0.022, -0.128), (0.041, -0.108), (0.0405, -0.074)
 _ARC_BULB = HangingBulb(
     _BULB_OUTSIDE, Filament(4, cage=0.0165, spacing=0.0165, top=-0.056, bottom=-0.094)
 )
-_MARBLE = Material("marble", MetallicRoughness((0.74, 0.72, 0.69), roughness=0.35))
-_BRUSHED_STEEL = Material("brushed_steel", Metal((1.0, 1.0, 1.0), 0.4, "Cr", BECKMANN))
+_MARBLE = Material("marble", MetallicRoughness(base_color=(0.74, 0.72, 0.69), roughness=0.35))
+_BRUSHED_STEEL = rough_metal("brushed_steel", WHITE, 0.4, "Cr")
 
 
 def build_arc() -> Geometry:

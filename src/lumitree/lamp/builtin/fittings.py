@@ -12,7 +12,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lumitree.asset.materials import Diffuse, MetallicRoughness, RoughConductor
 from lumitree.core.frames import rotation, similarity
+from lumitree.core.photometry import RGB
+from lumitree.lamp.materials import WHITE, Material, glass
 from lumitree.lamp.meshes import (
     Floats,
     Mesh,
@@ -27,16 +30,7 @@ from lumitree.lamp.meshes import (
     smooth,
     sweep,
 )
-from lumitree.lamp.parts import (
-    RGB,
-    Diffuse,
-    Glass,
-    Material,
-    Metal,
-    MetallicRoughness,
-    Microfacets,
-    Part,
-)
+from lumitree.lamp.parts import Part
 
 
 def at(x: float = 0.0, y: float = 0.0, z: float = 0.0, *, turn: float = 0.0) -> Floats:
@@ -69,20 +63,35 @@ def polar(azimuth: Floats | float, radius: Floats | float | list, y: Floats | li
 
 
 # Rough surfaces of the built-in lamps keep the microfacets with which the lamps were measured.
-BECKMANN: Microfacets = "beckmann"
-GLASS = Material("glass", Glass(ior=1.5))
-CRYSTAL = Material("crystal", Glass(ior=1.56))
-WAX = Material("wax", Diffuse((0.82, 0.76, 0.64)))
+BECKMANN = "beckmann"
+
+
+def rough_metal(name: str, tint: RGB, roughness: float, conductor: str) -> Material:
+    """A rough conductor; arguments as of `lamp.materials.metal`."""
+    return Material(
+        name,
+        RoughConductor(
+            material=conductor,
+            distribution=BECKMANN,
+            alpha=roughness**2,
+            specular_reflectance=tint,
+        ),
+    )
+
+
+GLASS = Material("glass", glass())
+CRYSTAL = Material("crystal", glass(1.56))
+WAX = Material("wax", Diffuse(reflectance=(0.82, 0.76, 0.64)))
 OPAL_SHEET = Material(
     "opal_sheet",
-    MetallicRoughness((0.93, 0.88, 0.78), roughness=0.6, diffuse_transmission=1.1, thin=True),
+    MetallicRoughness(base_color=(0.93, 0.88, 0.78), roughness=0.6, diff_trans=1.1, thin=True),
 )
 # Gold with a darker tint: Mitsuba has no data for brass.
-BRASS = Material("brass", Metal((0.95, 0.86, 0.86), 0.45, "Au", BECKMANN))
-BRONZE = Material("bronze", Metal((0.3, 0.27, 0.25), 0.5, "Cu", BECKMANN))
-BLACK_STEEL = Material("black", Metal((0.15, 0.14, 0.13), 0.55, "Cr", BECKMANN))
-STEEL = Material("steel", Metal((1.0, 1.0, 1.0), 0.5, "Cr", BECKMANN))
-TUNGSTEN = Material("tungsten", Metal((1.0, 1.0, 1.0), 0.55, "W", BECKMANN))
+BRASS = rough_metal("brass", (0.95, 0.86, 0.86), 0.45, "Au")
+BRONZE = rough_metal("bronze", (0.3, 0.27, 0.25), 0.5, "Cu")
+BLACK_STEEL = rough_metal("black", (0.15, 0.14, 0.13), 0.55, "Cr")
+STEEL = rough_metal("steel", WHITE, 0.5, "Cr")
+TUNGSTEN = rough_metal("tungsten", WHITE, 0.55, "W")
 
 
 def emitting(material: Material, name: str, radiance: RGB) -> Material:

@@ -9,6 +9,7 @@ import itertools
 import numpy as np
 
 from lumitree.asset.geometry import Medium
+from lumitree.asset.materials import Diffuse, RoughDielectric
 from lumitree.lamp.builtin.fittings import (
     BECKMANN,
     BRASS,
@@ -35,6 +36,7 @@ from lumitree.lamp.builtin.fittings import (
     sheet,
     strut,
 )
+from lumitree.lamp.materials import Material
 from lumitree.lamp.meshes import (
     Floats,
     Mesh,
@@ -47,7 +49,7 @@ from lumitree.lamp.meshes import (
     sphere,
     sweep,
 )
-from lumitree.lamp.parts import Diffuse, Geometry, Glass, Material, Part
+from lumitree.lamp.parts import Geometry, Part
 
 _SIDES = 6
 _CORNER = 0.19  # distance of the corners from the axis, metres
@@ -197,8 +199,12 @@ _RAISED = 0.0078  # of the latter above the glass, metres
 # Frosted, and about 1.6 mean free paths thick: denser, or smooth, it traps much of the light for
 # longer than the paths of a capture.
 _MILK = Medium(absorption=(0.0, 0.0, 0.0), scattering=(400.0, 400.0, 400.0))
-_OPAL = Material("opal", Glass(ior=1.3, roughness=0.6, medium=_MILK, microfacets=BECKMANN))
-_LAMP = Material("lamp", Diffuse((0.5, 0.5, 0.5)))
+_OPAL = Material(
+    "opal",
+    RoughDielectric(int_ior=1.3, ext_ior=1.0, distribution=BECKMANN, alpha=0.36),
+    medium=_MILK,
+)
+_LAMP = Material("lamp", Diffuse(reflectance=(0.5, 0.5, 0.5)))
 
 
 @dataclasses.dataclass(frozen=True)

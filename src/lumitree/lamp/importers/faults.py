@@ -13,23 +13,21 @@ from collections.abc import Collection, Iterator, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lumitree.asset.materials import (
+    Image,
+    Material,
+    MetallicRoughness,
+    Parameter,
+    Texture,
+    ThinDielectric,
+    VertexColours,
+)
 from lumitree.core.photometry import LUMENS_PER_WATT
 from lumitree.errors import LumitreeWarning, shown
 from lumitree.lamp.importers.overrides import Overrides, setting
 from lumitree.lamp.importers.topology import Indices, has_body, probes, reach, repeats, weld
 from lumitree.lamp.meshes import Floats, Mesh, area_normals, selected, with_backs
-from lumitree.lamp.parts import (
-    Colour,
-    Diffuse,
-    Geometry,
-    Glass,
-    Metal,
-    Names,
-    Part,
-    Surface,
-    Texture,
-    Value,
-)
+from lumitree.lamp.parts import Geometry, Names, Part
 
 # Largest difference of two surfaces that are the same, as a fraction of the area: quads may not be
 # flat.
@@ -179,7 +177,7 @@ def _two_units(model: Geometry, overrides: Overrides) -> Iterator[tuple[str, str
         change = overrides.of(material)
         overridden = change is not None and change.emission is not None
         if used.get(material.name) is False and material.radiance is not None and not overridden:
-            luminance = LUMENS_PER_WATT * _mean(material.radiance)
+            luminance = LUMENS_PER_WATT * _mean(material.radiance, model.images)
             yield (
                 f"material {shown(material.title)!r} emits {luminance.max():.4g} cd/m² beside "
                 "lights in candela; if Blender wrote this number as W/(m² sr), the surface is "
@@ -198,7 +196,8 @@ def _thin_bodies(model: Geometry, overrides: Overrides) -> Iterator[tuple[str, s
     warned: set[str] = set()
     for part in model.parts:
         material = model.material(part)
-        title, solid, change = material.title, _as_solid(material.surface), overrides.of(material)
+        title, change = material.title, overrides.of(material)
+        solid = _as_solid(material.surface, model.images)
         overridden = change is not None and change.surface is not None
         if title in warned or solid is None or overridden:
             continue
@@ -215,19 +214,21 @@ def _thin_bodies(model: Geometry, overrides: Overrides) -> Iterator[tuple[str, s
             )
 
 
-def _as_solid(surface: Surface) -> str | None:
+def _as_solid(surface: Material, images: Sequence[Image]) -> str | None:
     """TOML of the solid glass of which a file has thin sheets; None for other surfaces."""
     match surface:
-        case Metal() | Diffuse():
-            return None
-        case Glass():
-            colour, roughness, transmission = _mean(surface.tint), 0.0, 1.0
+        case ThinDielectric():
+            ior, roughness, transmission = surface.int_ior, 0.0, 1.0
+            colour = _mean(surface.specular_transmittance or 1.0, images)
+        case MetallicRoughness(thin=True):
+            ior, colour = surface.eta, _mean(surface.base_color, images)
+            roughness = float(_mean(surface.roughness, images)[0])
+            transmission = float(_mean(surface.spec_trans, images)[0])
         case _:
-            colour, roughness = _mean(surface.base_color), float(_mean(surface.roughness)[0])
-            transmission = float(_mean(surface.transmission)[0])
-    if not surface.thin or transmission == 0:
+            return None
+    if transmission == 0:
         return None
-    shared = f"ior = {surface.ior:.4g}, roughness = {roughness:.4g}"
+    shared = f"ior = {ior:.4g}, roughness = {roughness:.4g}"
     if transmission < 1:
         base = f"base_color = {_toml(colour)}, transmission = {transmission:.4g}"
         return f"principled = {{ {shared}, {base} }}"
@@ -235,11 +236,11 @@ def _as_solid(surface: Surface) -> str | None:
     return f"glass = {{ {shared}, tint = {_toml(np.sqrt(colour))}, thin = false }}"
 
 
-def _mean(value: Colour | Value) -> Floats:
-    """The channels of a colour or a value; of an image their means, of vertex colours white."""
+def _mean(value: Parameter, images: Sequence[Image]) -> Floats:
+    """The channels of a parameter; of an image their means, of vertex colours white."""
     if isinstance(value, Texture):
-        return value.linear().mean(axis=(0, 1), dtype=np.float64)
-    return np.atleast_1d(np.array(value if isinstance(value, float | tuple) else 1.0, np.float64))
+        return value.linear(images).mean(axis=(0, 1), dtype=np.float64)
+    return np.atleast_1d(np.array(1.0 if isinstance(value, VertexColours) else value, np.float64))
 
 
 def _toml(colour: ArrayLike) -> str:

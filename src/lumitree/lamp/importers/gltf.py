@@ -34,8 +34,9 @@ from lumitree.lamp.importers.topology import (
     turned_with_normals,
     weld,
 )
+from lumitree.lamp.materials import Material
 from lumitree.lamp.meshes import Floats, Mesh, by_handedness
-from lumitree.lamp.parts import Geometry, Material, Names, Part, check_shapes
+from lumitree.lamp.parts import Geometry, Names, Part, check_shapes
 
 
 class Variants:
@@ -124,7 +125,8 @@ class _Reader:
             self._mesh(index, nodes)
         if not self._parts:
             raise LumitreeError(f"{self._document.name} has no triangles in its scene")
-        return Geometry(tuple(self._parts), (*self._materials.all, *self._light_materials))
+        materials = (*self._materials.all, *self._light_materials)
+        return Geometry(tuple(self._parts), materials, tuple(self._materials.images.pixels))
 
     def _light(self, index: int, nodes: list[Node]) -> None:
         item = nodes[0].item
@@ -137,7 +139,7 @@ class _Reader:
         name = self._part_names.unique(safe_name(f"light_{default}"))
         objects = tuple(node.item.string("name", default) for node in nodes)
         worlds = [node.world for node in nodes]
-        for part, material in light_parts(light, worlds, name, self._notes):
+        for part, material in light_parts(light, worlds, name, self._notes, self._materials.images):
             title = self._material_names.unique(material.name)
             self._light_materials.append(dataclasses.replace(material, name=title))
             unique = name if part.name == name else self._part_names.unique(part.name)

@@ -4,12 +4,16 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lumitree.core.photometry import LUMENS_PER_WATT
+from lumitree.asset.materials import Diffuse, Texture
+from lumitree.core.photometry import LUMENS_PER_WATT, RGB
 from lumitree.errors import shown
 from lumitree.lamp.importers.gltf_document import Item, Notes
+from lumitree.lamp.importers.model_files import Images
+from lumitree.lamp.materials import Material
 from lumitree.lamp.meshes import Floats, Mesh, area_normals, lathe, sphere
-from lumitree.lamp.parts import RGB, Diffuse, Material, Part, Texture
+from lumitree.lamp.parts import Part
 
 # Metres, about the size of a filament: small compared with a lamp, but large enough that paths
 # hit it.
@@ -24,11 +28,11 @@ _MAX_DISK = np.pi / 3
 _FACETS, _RINGS, _ROWS = 128, 16, 256
 # Rows of opacity end at the outer angle times this; there it is 1.
 _MARGIN = 1 + 1 / 64
-_BLACK = Diffuse((0.0, 0.0, 0.0))
+_BLACK = Diffuse(reflectance=(0.0, 0.0, 0.0))
 
 
 def light_parts(
-    light: Item, worlds: Sequence[Floats], name: str, notes: Notes
+    light: Item, worlds: Sequence[Floats], name: str, notes: Notes, images: Images
 ) -> list[tuple[Part, Material]]:
     """A light as parts and their materials; none where it emits nothing or is directional.
 
@@ -55,7 +59,8 @@ def light_parts(
     # The mean projected area of a convex body is a quarter of its surface.
     area, others = _area(emitter) / 4, []
     if cone is not None:
-        emitter, area, opacity = _spot(*cone)
+        emitter, area, pixels = _spot(*cone)
+        opacity = Texture(image=images.add(pixels), raw=True, wrap_mode="clamp")
         shade = Material(f"{name}_shade", _BLACK, opacity=opacity)
         mesh = _shade(cone[1])
         others = [(Part(shade.name, mesh, shade.name, places, in_metres=True), shade)]
@@ -89,8 +94,8 @@ def _cone(light: Item) -> tuple[float, float]:
     return inner, outer
 
 
-def _spot(inner: float, outer: float) -> tuple[Mesh, float, Texture]:
-    """Emitter about the origin, the area that gives its intensity, and the opacity of its shade.
+def _spot(inner: float, outer: float) -> tuple[Mesh, float, NDArray[np.float32]]:
+    """Emitter about the origin, area that gives its intensity, and opacity [H, 1, 1] of its shade.
 
     Light crosses the shade at an angle θ in proportion to the attenuation over the emitter's
     projected area, which is in proportion to cos θ for a disk and the same everywhere for a sphere.
@@ -109,7 +114,7 @@ def _spot(inner: float, outer: float) -> tuple[Mesh, float, Texture]:
     weights = np.sin(angle).reshape(_ROWS, samples)
     rows = (transmitted.reshape(_ROWS, samples) * weights).sum(axis=1) / weights.sum(axis=1)
     pixels = (1 - rows / brightest).astype(np.float32)[:, None, None]
-    return emitter, area / brightest, Texture(pixels, encoded=False, wrap="clamp")
+    return emitter, area / brightest, pixels
 
 
 def _shade(outer: float) -> Mesh:

@@ -7,19 +7,19 @@ table; only functions of several channels or maps make arrays of floats.
 """
 
 import dataclasses
-import hashlib
 from collections.abc import Callable, Iterator
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.asset.materials import Texture
 from lumitree.core.images import linear_from_srgb, resized, srgb_from_linear
+from lumitree.core.photometry import RGB
 from lumitree.errors import shown
 from lumitree.lamp.importers.gltf_document import Document, Item, Notes
 from lumitree.lamp.importers.model_files import DecodedImage, Images, by_rows, looked_up
 from lumitree.lamp.meshes import Floats
-from lumitree.lamp.parts import RGB, Texture
 
 _FORMATS = ("PNG", "JPEG", "WEBP")
 _NEAREST = 9728
@@ -50,7 +50,7 @@ class Map:
         first: channel of the image that is the map's first.
         floats: [H, W, C] computed values; None for a constant and for an image.
         sampler: how the image is looked up; None for a constant.
-        uv_transform: [3, 3] from the mesh's texture coordinates to the image's.
+        uv_transform: [4, 4] from the mesh's texture coordinates to the image's.
         where: what the map is of, for messages.
     """
 
@@ -59,7 +59,7 @@ class Map:
     first: int = 0
     floats: Array | None = None
     sampler: Sampler | None = None
-    uv_transform: Floats = dataclasses.field(default_factory=lambda: np.eye(3))
+    uv_transform: Floats = dataclasses.field(default_factory=lambda: np.eye(4))
     where: str = ""
 
     @property
@@ -150,9 +150,7 @@ class Textures:
     """Reads a file's textures as maps, and turns maps into the model's textures."""
 
     def __init__(self, document: Document) -> None:
-        self._document, self._images = document, Images()
-        # Maps of the same pixels share one array, so that it is written once.
-        self._pixels: dict[tuple, NDArray] = {}
+        self._document, self.images = document, Images()
 
     def read(self, info: Item, channels: str, encoded: bool) -> Map | str:
         """Map [H, W, C] of a texture info; the name of its image's file if that is missing.
@@ -168,7 +166,7 @@ class Textures:
         item = self._document.entry("images", source)
         if self._document.is_missing(item):
             return item.string("uri", "")
-        image = self._images.decoded(source, lambda: self._bytes(item), item.where, _FORMATS)
+        image = self.images.decoded(source, lambda: self._bytes(item), item.where, _FORMATS)
         levels = np.repeat((_DECODED if encoded else _LINEAR)[:, None], len(channels), axis=1)
         first, sampler = "RGBA".index(channels), self._sampler(texture)
         return Map(levels, image, first, None, sampler, uv_transform(info), info.where)
@@ -213,7 +211,7 @@ class Textures:
             return function(*blocks)
 
         channels = rows_of(slice(0, 1)).shape[2]
-        self._images.spend(_FLOAT_BYTES * height * width * channels, lead.where)
+        self.images.spend(_FLOAT_BYTES * height * width * channels, lead.where)
         floats = by_rows(rows_of, (height, width, channels), np.float32)
         return dataclasses.replace(lead, image=None, floats=floats), exact
 
@@ -221,7 +219,7 @@ class Textures:
         if source.constant or source.shape[:2] == (height, width):
             return source
         channels = source.shape[2]
-        self._images.spend(_FLOAT_BYTES * height * width * channels, source.where)
+        self.images.spend(_FLOAT_BYTES * height * width * channels, source.where)
         floats = resized(source.values(), height, width)
         return dataclasses.replace(source, image=None, floats=floats)
 
@@ -254,21 +252,23 @@ class Textures:
         """Texture of a function of each value alone."""
         size = int(np.prod(source.shape)) * np.dtype(dtype).itemsize
         if source.image is None:
-            self._images.spend(size, source.where)
+            self.images.spend(size, source.where)
             pixels = by_rows(lambda rows: convert(source.values(rows)), source.shape, dtype)
-            pixels = self._shared(pixels)
+            image = self.images.add(pixels)
         else:
             table = convert(source.levels).astype(dtype)
             key = (id(source.image), source.first, np.dtype(dtype).name, table.tobytes())
-            pixels = self._images.made(
-                key, size, source.where, lambda: self._shared(looked_up(table, source.codes))
+            image = self.images.made(
+                key, size, source.where, lambda: looked_up(table, source.codes)
             )
         sampler = source.sampler or Sampler()
-        return Texture(pixels, encoded, sampler.wrap[0], sampler.nearest, source.uv_transform)
-
-    def _shared(self, pixels: NDArray) -> NDArray:
-        key = (pixels.shape, pixels.dtype.name, hashlib.sha256(pixels.data).digest())
-        return self._pixels.setdefault(key, pixels)
+        return Texture(
+            image=image,
+            raw=not encoded,
+            filter_type="nearest" if sampler.nearest else "bilinear",
+            wrap_mode=sampler.wrap[0],
+            to_uv=tuple(map(tuple, source.uv_transform.tolist())),
+        )
 
 
 def _flat_rgb(source: Map) -> RGB | None:
@@ -277,19 +277,19 @@ def _flat_rgb(source: Map) -> RGB | None:
 
 
 def uv_transform(info: Item) -> Floats:
-    """[3, 3] map of KHR_texture_transform: scale, then rotation, then offset.
+    """[4, 4] map of KHR_texture_transform: scale, then rotation, then offset.
 
     The rotation is counter-clockwise as one looks at the image, whose v axis points down: the
     readme's GLSL says the opposite, its first example and every viewer say this.
     """
     extension = info.extension("KHR_texture_transform")
-    matrix = np.eye(3)
+    matrix = np.eye(4)
     if extension is None:
         return matrix
     angle = extension.number("rotation", 0.0)
     cos, sin = np.cos(angle), np.sin(angle)
     matrix[:2, :2] = np.array([[cos, sin], [-sin, cos]]) * extension.numbers("scale", (1.0, 1.0))
-    matrix[:2, 2] = extension.numbers("offset", (0.0, 0.0))
+    matrix[:2, 3] = extension.numbers("offset", (0.0, 0.0))
     return matrix
 
 

@@ -5,22 +5,15 @@ import re
 
 import numpy as np
 
+from lumitree.asset import materials as surfaces
 from lumitree.asset.geometry import Medium
-from lumitree.core.photometry import LUMENS_PER_WATT
+from lumitree.asset.materials import Texture, VertexColours
+from lumitree.core.photometry import LUMENS_PER_WATT, RGB
 from lumitree.errors import shown
 from lumitree.lamp.importers.gltf_document import Document, Item, Notes
 from lumitree.lamp.importers.gltf_maps import Array, Layers, Map, Textures, constant, uv_transform
-from lumitree.lamp.parts import (
-    RGB,
-    Diffuse,
-    Glass,
-    Material,
-    MetallicRoughness,
-    Names,
-    Surface,
-    Texture,
-    painted,
-)
+from lumitree.lamp.materials import Material, glass
+from lumitree.lamp.parts import Names
 
 # Roughness below which a surface is smooth: alpha would be less than 0.001, the smallest of
 # Mitsuba's rough models.
@@ -123,8 +116,8 @@ def read_volume(layers: Layers) -> Volume:
 
 def read_surface(
     layers: Layers, textures: Textures, base: Base, solid: bool, thickness: float
-) -> Surface:
-    """The surface of a material.
+) -> tuple[surfaces.Material, Medium | None]:
+    """The surface of a material, and what fills it.
 
     Light that crosses a solid is multiplied by the base colour once: by its square root at each of
     the two crossings. Light that crosses a thin sheet is multiplied at its only crossing. A thin
@@ -132,7 +125,7 @@ def read_surface(
     """
     if layers.item.extension("KHR_materials_unlit") is not None:
         layers.note("unlit (a diffuse reflector)")
-        return Diffuse(textures.colour(base.colour))
+        return surfaces.Diffuse(reflectance=textures.colour(base.colour)), None
     extension = layers.item.extension("KHR_materials_transmission")
     transmission = constant(0.0)
     if extension is not None:
@@ -140,7 +133,7 @@ def read_surface(
     through = not transmission.black()
     scattered = _diffuse_transmission(layers, solid)
     volume = read_volume(layers)
-    glass = (
+    clear = (
         through
         and transmission.constant
         and transmission.mean() == (1.0,)
@@ -150,15 +143,17 @@ def read_surface(
         and scattered == 0
         and (solid or base.roughness.mean()[0] <= SMOOTH)
     )
-    if glass:
+    if clear:
         return _glass(layers, base, volume, solid, thickness)
     thin = (through or scattered > 0) and not solid
     if through or scattered > 0:
         base = _absorbed(layers, base, volume, thickness)
-    return _metallic_roughness(layers, textures, base, transmission, scattered, thin)
+    return _metallic_roughness(layers, textures, base, transmission, scattered, thin), None
 
 
-def _glass(layers: Layers, base: Base, volume: Volume, solid: bool, thickness: float) -> Glass:
+def _glass(
+    layers: Layers, base: Base, volume: Volume, solid: bool, thickness: float
+) -> tuple[surfaces.Material, Medium | None]:
     for name, coat in (("clear coat", _clearcoat(layers)[0]), ("sheen", _sheen(layers))):
         if not coat.black():
             layers.note(f"{name} of clear glass (left out)")
@@ -168,29 +163,29 @@ def _glass(layers: Layers, base: Base, volume: Volume, solid: bool, thickness: f
         roughness = 0.0 if roughness <= SMOOTH else roughness
         medium = Medium(volume.absorption) if any(volume.absorption) else None
         red, green, blue = np.sqrt(base.colour.mean()).tolist()
-        return Glass(ior, roughness, (red, green, blue), medium=medium)
+        return glass(ior, roughness, (red, green, blue)), medium
     red, green, blue = _absorbed(layers, base, volume, thickness).colour.mean()
-    return Glass(ior, 0.0, (red, green, blue), thin=True)
+    return glass(ior, tint=(red, green, blue), thin=True), None
 
 
 def _metallic_roughness(
     layers: Layers, textures: Textures, base: Base, transmission: Map, scattered: float, thin: bool
-) -> MetallicRoughness:
+) -> surfaces.MetallicRoughness:
     roughness, anisotropy = _anisotropy(layers, base.roughness)
     clearcoat, clearcoat_roughness = _clearcoat(layers)
     ior, specular = _reflection(layers, transmits=not transmission.black())
-    return MetallicRoughness(
-        textures.colour(base.colour),
-        textures.value(base.metallic),
-        textures.value(roughness),
-        textures.value(anisotropy),
-        ior,
-        textures.value(specular),
+    return surfaces.MetallicRoughness(
+        base_color=textures.colour(base.colour),
+        metallic=textures.value(base.metallic),
+        roughness=textures.value(roughness),
+        anisotropic=textures.value(anisotropy),
+        eta=ior,
+        specular=textures.value(specular),
         sheen=textures.value(_sheen(layers)),
         clearcoat=textures.value(clearcoat),
         clearcoat_roughness=clearcoat_roughness,
-        transmission=textures.value(transmission),
-        diffuse_transmission=2 * scattered,
+        spec_trans=textures.value(transmission),
+        diff_trans=2 * scattered,
         thin=thin,
     )
 
@@ -337,6 +332,7 @@ class Materials:
     def __init__(self, document: Document, notes: Notes, names: Names) -> None:
         self._document, self._notes, self._names = document, notes, names
         self._textures = Textures(document)
+        self.images = self._textures.images
         self._layers: dict[int | None, Layers] = {}
         # Unique, also where a file has two materials of one name.
         self._titles = Names("_")
@@ -391,7 +387,7 @@ class Materials:
         base = read_base(layers)
         solid = use.closed and self.solid(index)
         thickness = read_volume(layers).thickness * use.scale
-        surface = read_surface(layers, self._textures, base, solid, thickness)
+        surface, medium = read_surface(layers, self._textures, base, solid, thickness)
         factor = None
         if use.coloured:
             surface, factor = _painted(layers, surface, base)
@@ -409,6 +405,7 @@ class Materials:
             self._normal_map(layers, use.mirrored),
             item.flag("doubleSided"),
             self._title_of[index],
+            medium,
         )
         return material, factor
 
@@ -442,15 +439,22 @@ class Materials:
         return self._textures.data(layers.combined(framed, texture))
 
 
-def _painted(layers: Layers, surface: Surface, base: Base) -> tuple[Surface, RGB | None]:
+def _painted(
+    layers: Layers, surface: surfaces.Material, base: Base
+) -> tuple[surfaces.Material, RGB | None]:
+    """The surface with the colours of its vertices, if it has them, and their factor."""
     if layers.item.string("alphaMode", "OPAQUE") != "OPAQUE":
         layers.note("opacity of the vertex colours")
-    result = painted(surface) if base.colour.constant else None
-    if result is None:
-        layers.note("vertex colours (left out: glass or a texture has the colour)")
-        return surface, None
+    match surface:
+        case surfaces.Diffuse() if base.colour.constant:
+            painted = surfaces.Diffuse(reflectance=VertexColours())
+        case surfaces.MetallicRoughness() if base.colour.constant:
+            painted = dataclasses.replace(surface, base_color=VertexColours())
+        case _:
+            layers.note("vertex colours (left out: glass or a texture has the colour)")
+            return surface, None
     red, green, blue = base.colour.mean()
-    return result, (red, green, blue)
+    return painted, (red, green, blue)
 
 
 def _opacity(layers: Layers, base: Base) -> Map:

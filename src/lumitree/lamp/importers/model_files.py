@@ -3,6 +3,7 @@
 import contextlib
 import contextvars
 import dataclasses
+import hashlib
 import io
 import os
 import re
@@ -16,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
+from lumitree.asset.materials import Image as PixelArray
 from lumitree.core.images import MAX_SIDE
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 
@@ -160,11 +162,17 @@ class DecodedImage:
 
 
 class Images:
-    """The images of one model: each is decoded once, and each array of them made once."""
+    """The images of one model: each is decoded once, and each array of them made once.
+
+    Attributes:
+        pixels: the images of the model's textures; equal ones are one.
+    """
 
     def __init__(self) -> None:
+        self.pixels: list[PixelArray] = []
         self._decoded: dict[Hashable, DecodedImage] = {}
-        self._made: dict[Hashable, NDArray] = {}
+        self._made: dict[Hashable, int] = {}
+        self._known: dict[tuple[object, ...], int] = {}
         self._bytes = 0
 
     def decoded(
@@ -178,12 +186,21 @@ class Images:
             self._decoded[key] = self._decode(read(), where, formats)
         return self._decoded[key]
 
-    def made(self, key: Hashable, size: int, where: str, make: Callable[[], NDArray]) -> NDArray:
-        """The array of a key, computed on first use; the other arguments are as for `spend`."""
+    def made(self, key: Hashable, size: int, where: str, make: Callable[[], PixelArray]) -> int:
+        """Index of the array of a key, computed on first use; other arguments as for `spend`."""
         if key not in self._made:
             self.spend(size, where)
-            self._made[key] = make()
+            self._made[key] = self.add(make())
         return self._made[key]
+
+    def add(self, pixels: PixelArray) -> int:
+        """Index of an array [H, W, C] among `pixels`."""
+        digest = hashlib.sha256(np.ascontiguousarray(pixels).data).digest()
+        key = pixels.shape, pixels.dtype.name, digest
+        if key not in self._known:
+            self._known[key] = len(self.pixels)
+            self.pixels.append(pixels)
+        return self._known[key]
 
     def spend(self, size: int, where: str) -> None:
         """Count bytes that are about to be held or computed; too many for one model are refused."""

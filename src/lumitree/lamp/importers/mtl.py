@@ -29,9 +29,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.asset.materials import VertexColours
+from lumitree.asset import materials as surfaces
+from lumitree.asset.materials import Image, Texture, VertexColours, textures_of, transmits
 from lumitree.core.file_kinds import in_utf8
 from lumitree.core.images import linear_from_srgb
+from lumitree.core.photometry import RGB
 from lumitree.core.reading import read_bytes
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.lamp.importers.model_files import (
@@ -44,21 +46,8 @@ from lumitree.lamp.importers.model_files import (
 )
 from lumitree.lamp.importers.obj_text import readable, with_point
 from lumitree.lamp.importers.topology import count_solids
+from lumitree.lamp.materials import WHITE, Material, Radiance, Value, glass, metal
 from lumitree.lamp.meshes import Mesh
-from lumitree.lamp.parts import (
-    RGB,
-    WHITE,
-    Colour,
-    Diffuse,
-    Glass,
-    Material,
-    Metal,
-    MetallicRoughness,
-    Surface,
-    Texture,
-    Value,
-    painted,
-)
 
 _MAX_BYTES = 16 * 2**20
 # Keys with up to three numbers, spelled as below whatever case the file has.
@@ -201,10 +190,9 @@ class ObjFolder:
     A file that is missing is ignored, with a warning.
     """
 
-    def __init__(self, model: Path) -> None:
-        self._model = model
+    def __init__(self, model: Path, images: Images) -> None:
+        self._model, self.images = model, images
         self._folder = ModelFolder(model)
-        self._images = Images()
 
     def find(self, name: str, purpose: str) -> Path | None:
         """Path of a file that the model names; `purpose` says what names it."""
@@ -229,13 +217,9 @@ class ObjFolder:
         path = self.find(name, purpose)
         if path is None:
             return None
-        return self._images.decoded(
-            name, lambda: read_bytes(path, "an image", MAX_MODEL_BYTES), shown(path, 300), _FORMATS
+        return self.images.decoded(
+            path, lambda: read_bytes(path, "an image", MAX_MODEL_BYTES), shown(path, 300), _FORMATS
         )
-
-    def made(self, name: str, role: Hashable, size: int, make: Callable[[], NDArray]) -> NDArray:
-        """Result of `make` for the image called `name`, once for each role."""
-        return self._images.made((name, role), size, shown(name), make)
 
 
 def material(
@@ -247,9 +231,9 @@ def material(
     """
     coloured = mesh.colours is not None
     if source is None:
-        surface = Diffuse(VertexColours() if coloured else _GREY)
+        surface = surfaces.Diffuse(reflectance=VertexColours() if coloured else _GREY)
         return Material(name, surface, two_sided=True), WHITE if coloured else None
-    return _Reader(name, source, mesh, folder).read(coloured)
+    return _Reader(name, source, mesh, folder).read()
 
 
 class _Reader:
@@ -258,30 +242,27 @@ class _Reader:
         self._maps = dict(source.maps)
         self._ignored = [key for key in self._maps if key not in _USED_MAPS]
 
-    def read(self, coloured: bool) -> tuple[Material, RGB | None]:
-        surface, factor = self._surface(), None
-        if coloured:
-            with_colours = None if "map_Kd" in self._maps else painted(surface)
-            if with_colours is None:
-                self._ignored.append("vertex colours (glass, metal or map_Kd has the colour)")
-            else:
-                surface, factor = with_colours, self._rgb("Kd", WHITE)
+    def read(self) -> tuple[Material, RGB | None]:
+        surface = self._surface()
+        painted = VertexColours() in textures_of(surface)
+        if self._mesh.colours is not None and not painted:
+            self._ignored.append("vertex colours (glass, metal or map_Kd has the colour)")
         result = Material(
             self._name,
             surface,
             radiance=self._radiance(),
-            opacity=1.0 if isinstance(surface, Glass) else self._opacity(),
+            opacity=1.0 if transmits(surface) else self._opacity(),
             normal_map=self._normal_map(),
-            two_sided=not isinstance(surface, Glass),
+            two_sided=True,
         )
         if self._ignored:
             self._warn("not used: " + shown(", ".join(dict.fromkeys(self._ignored)), 300))
-        return result, factor
+        return result, self._rgb("Kd", WHITE) if painted else None
 
     def _warn(self, text: str) -> None:
         warnings.warn(f"material {shown(self._name)!r}: {text}", LumitreeWarning, stacklevel=2)
 
-    def _surface(self) -> Surface:
+    def _surface(self) -> surfaces.Material:
         illum, refraction = int(self._number("illum", 2)), self._number("Ni", 1.0)
         ior = float(min(refraction, 4.0)) if refraction > 1 else 1.5
         see_through = self._coverage() < 1 and "map_d" not in self._maps and refraction > 1
@@ -289,14 +270,15 @@ class _Reader:
             return self._glass(ior)
         # `map_Kd` in place of `Kd`, as exporters write it whatever `Kd` says.
         diffuse, specular = self._rgb("Kd", _GREY), self._rgb("Ks", _BLACK)
-        base = self._texture("map_Kd", "colour", _colour, encoded=True) or diffuse
+        colour = diffuse if self._mesh.colours is None else VertexColours()
+        base = self._texture("map_Kd", "colour", _colour, raw=False) or colour
         if any(key in self._values or f"map_{key}" in self._maps for key in _PHYSICAL):
-            return MetallicRoughness(
-                base,
+            return surfaces.MetallicRoughness(
+                base_color=base,
                 metallic=self._value("Pm", 0.0),
                 roughness=self._value("Pr", 0.5),
-                anisotropy=self._unit("aniso", 0.0),
-                ior=ior,
+                anisotropic=self._unit("aniso", 0.0),
+                eta=ior,
                 sheen=self._value("Ps", 0.0),
                 clearcoat=self._unit("Pc", 0.0),
                 clearcoat_roughness=self._unit("Pcr", 0.0),
@@ -304,12 +286,12 @@ class _Reader:
         # Roughness (root of alpha) of a Phong lobe of exponent `Ns`: alpha² = 2 / (Ns + 2).
         gloss = float((2.0 / (max(self._number("Ns", 0.0), 0.0) + 2.0)) ** 0.25)
         if illum in _MIRROR_ILLUM and max(specular) >= max(diffuse) and max(specular) > 0:
-            return Metal(specular, gloss)
+            return metal(specular, gloss)
         if illum not in (0, 1) and max(specular) > 0:
-            return MetallicRoughness(base, roughness=gloss, ior=ior)
-        return Diffuse(base)
+            return surfaces.MetallicRoughness(base_color=base, roughness=gloss, eta=ior)
+        return surfaces.Diffuse(reflectance=base)
 
-    def _glass(self, ior: float) -> Glass:
+    def _glass(self, ior: float) -> surfaces.Material:
         solids, pieces = count_solids(self._mesh)
         closed = solids == pieces
         if 0 < solids < pieces:
@@ -321,9 +303,9 @@ class _Reader:
         if closed:
             # The light crosses a solid's surface twice.
             filtered = (filtered[0] ** 0.5, filtered[1] ** 0.5, filtered[2] ** 0.5)
-        return Glass(ior, self._unit("Pr", 0.0) if closed else 0.0, filtered, thin=not closed)
+        return glass(ior, self._unit("Pr", 0.0), filtered, thin=not closed)
 
-    def _radiance(self) -> Colour | None:
+    def _radiance(self) -> Radiance | None:
         red, green, blue = (max(value, 0.0) for value in self._values.get("Ke", _BLACK))
         emits = max(red, green, blue) > 0
         # Where there is a map, Ke may be missing, or black by default; the map is then not scaled.
@@ -355,8 +337,8 @@ class _Reader:
         self,
         key: str,
         role: Hashable,
-        pick: Callable[[DecodedImage], NDArray],
-        encoded: bool = False,
+        pick: Callable[[DecodedImage], Image],
+        raw: bool = True,
     ) -> Texture | None:
         """Texture of the array that `pick` takes out of a map's image; None for no map.
 
@@ -372,11 +354,12 @@ class _Reader:
         # The file counts v from the last row, meshes and textures from the first.
         (su, sv), (ou, ov) = entry.scale, entry.offset
         size = _PIXEL_BYTES * image.pixels.shape[0] * image.pixels.shape[1]
+        once, where = (id(image), role), shown(entry.file)
         return Texture(
-            self._folder.made(entry.file, role, size, lambda: pick(image)),
-            encoded,
-            "clamp" if entry.clamp else "repeat",
-            uv_transform=np.array([[su, 0, ou], [0, sv, 1 - sv - ov], [0, 0, 1]]),
+            image=self._folder.images.made(once, size, where, lambda: pick(image)),
+            raw=raw,
+            wrap_mode="clamp" if entry.clamp else "repeat",
+            to_uv=((su, 0, 0, ou), (0, sv, 0, 1 - sv - ov), (0, 0, 1, 0), (0, 0, 0, 1)),
         )
 
     def _image(self, key: str) -> DecodedImage | None:

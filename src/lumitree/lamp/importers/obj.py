@@ -14,8 +14,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.asset.materials import Texture
 from lumitree.errors import LumitreeWarning, shown, shown_names
 from lumitree.lamp.importers.faults import kept_faces, warn_of_repeated, with_reversed
+from lumitree.lamp.importers.model_files import Images
 from lumitree.lamp.importers.mtl import MtlMaterial, ObjFolder, material, parse_mtl
 from lumitree.lamp.importers.obj_text import ObjFile, parse_obj
 from lumitree.lamp.importers.polygons import triangulate
@@ -30,8 +32,9 @@ from lumitree.lamp.importers.topology import (
     unit,
     weld,
 )
+from lumitree.lamp.materials import Material
 from lumitree.lamp.meshes import Floats, Mesh, by_handedness
-from lumitree.lamp.parts import Geometry, Material, Names, Part, Texture, check_shapes
+from lumitree.lamp.parts import Geometry, Names, Part, check_shapes
 
 # Sharpest angle, degrees, across which shading is smooth in a file that does not ask for it: faces
 # of one plane share their vertices.
@@ -218,12 +221,15 @@ def _distinct(keys: list[Indices]) -> tuple[Indices, Indices]:
     return np.stack([key[first] for key in keys], axis=1), index
 
 
-def read_obj(path: str | os.PathLike[str], emitting: Collection[str] = ()) -> Geometry:
+def read_obj(
+    path: str | os.PathLike[str], emitting: Collection[str] = (), images: Images | None = None
+) -> Geometry:
     """Read a Wavefront OBJ model: one part for each material, in the file's frame and unit.
 
     Args:
         path: of the file.
         emitting: materials that will emit, besides those that do so in the file.
+        images: of several files that become one model. Default: of this file.
 
     Raises:
         LumitreeError: a file is missing, malformed or too large, or names what is outside the
@@ -231,7 +237,7 @@ def read_obj(path: str | os.PathLike[str], emitting: Collection[str] = ()) -> Ge
     """
     path = Path(path)
     file = parse_obj(path)
-    folder = ObjFolder(path)
+    folder = ObjFolder(path, images or Images())
     library = _library(file, folder)
     lit = [name for name, source in library.items() if source.emits]
     meshes = build_meshes(file, {*lit, *emitting})
@@ -265,18 +271,18 @@ def read_obj(path: str | os.PathLike[str], emitting: Collection[str] = ()) -> Ge
                 used = dataclasses.replace(
                     made,
                     name=titles.unique(f"{title} mirrored"),
-                    normal_map=_mirrored(made.normal_map),
+                    normal_map=_mirrored(made.normal_map, folder.images),
                 )
             materials[used.name] = used
             parts.append(Part(taken.unique(name) if count else name, piece, used.name))
-    return Geometry(tuple(parts), tuple(materials.values()))
+    return Geometry(tuple(parts), tuple(materials.values()), tuple(folder.images.pixels))
 
 
-def _mirrored(normal_map: Texture) -> Texture:
+def _mirrored(normal_map: Texture, images: Images) -> Texture:
     """A normal map with its second axis turned round."""
-    pixels = normal_map.pixels.copy()
+    pixels = images.pixels[normal_map.image].copy()
     pixels[..., 1] = 255 - pixels[..., 1]
-    return dataclasses.replace(normal_map, pixels=pixels)
+    return dataclasses.replace(normal_map, image=images.add(pixels))
 
 
 def _library(file: ObjFile, folder: ObjFolder) -> dict[str, MtlMaterial]:

@@ -13,36 +13,24 @@ from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
 
+from lumitree.asset import materials as surfaces
 from lumitree.asset.geometry import Medium
-from lumitree.asset.materials import CONDUCTORS
+from lumitree.asset.materials import CONDUCTORS, Image, Texture, places_on_image, transmits
 from lumitree.core.arguments import UNITS
 from lumitree.core.frames import similarity
 from lumitree.core.photometry import (
     MAX_TEMPERATURE,
     MIN_TEMPERATURE,
+    RGB,
     blackbody_colour,
     radiance_from_flux,
 )
 from lumitree.core.toml_file import Range, converted, read_toml
 from lumitree.errors import LumitreeError, LumitreeWarning, shown, shown_names
 from lumitree.lamp.importers.topology import count_solids
+from lumitree.lamp.materials import WHITE, Material, Value, glass, metal
 from lumitree.lamp.meshes import Floats, Mesh, area_normals, join
-from lumitree.lamp.parts import (
-    RGB,
-    WHITE,
-    Diffuse,
-    Geometry,
-    Glass,
-    Material,
-    Metal,
-    MetallicRoughness,
-    Part,
-    Surface,
-    Texture,
-    Value,
-    select_names,
-    transmits,
-)
+from lumitree.lamp.parts import Geometry, Part, select_names
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,10 +49,12 @@ class Emission:
 class MaterialOverride:
     """Replacements of parts of a material; None keeps what the file says.
 
-    With `guess_thin` the surface is glass, and the file does not state whether it is thin.
+    With `guess_thin` the surface is glass, and the file does not state whether it is thin. `medium`
+    fills the surface.
     """
 
-    surface: Surface | None = None
+    surface: surfaces.Material | None = None
+    medium: Medium | None = None
     guess_thin: bool = False
     emission: Emission | None = None
     opacity: float | None = None
@@ -180,7 +170,7 @@ def emitting_area(model: Geometry, title: str) -> float:
     """
     total = 0.0
     for part in _parts_with(model, title):
-        opacity = opacity_of_faces(model.material(part).opacity, part.mesh)
+        opacity = opacity_of_faces(model.material(part).opacity, part.mesh, model.images)
         normals = opacity[:, None] * area_normals(part.mesh.vertices, part.mesh.faces)
         for place in part.places:
             linear = place[:3, :3]
@@ -190,16 +180,17 @@ def emitting_area(model: Geometry, title: str) -> float:
     return total
 
 
-def opacity_of_faces(opacity: Value, mesh: Mesh) -> Floats:
+def opacity_of_faces(opacity: Value, mesh: Mesh, images: Sequence[Image] = ()) -> Floats:
     """Mean opacity [F] of the faces of a mesh."""
     count = len(mesh.faces)
     if not isinstance(opacity, Texture):
         return np.full(count, float(opacity))
     if mesh.uv is None:
-        return np.full(count, float(_looked_up(opacity, np.zeros((1, 2)))[0]))
+        return np.full(count, float(_looked_up(opacity, images, np.zeros((1, 2)))[0]))
     points = _points_of_triangle(math.isqrt(_POINTS // max(count, 1)))
     uv = np.einsum("pc,fcx->pfx", points, mesh.uv[mesh.faces])
-    return _looked_up(opacity, uv.reshape(-1, 2)).reshape(len(points), count).mean(axis=0)
+    values = _looked_up(opacity, images, uv.reshape(-1, 2))
+    return values.reshape(len(points), count).mean(axis=0)
 
 
 def _points_of_triangle(parts: int) -> Floats:
@@ -212,22 +203,22 @@ def _points_of_triangle(parts: int) -> Floats:
     return np.column_stack([two, 1 - two.sum(axis=1)])
 
 
-def _looked_up(texture: Texture, uv: Floats) -> Floats:
+def _looked_up(texture: Texture, images: Sequence[Image], uv: Floats) -> Floats:
     """Values [N] of the nearest pixels of a texture with one channel, in [0, 1]."""
-    place = uv @ texture.uv_transform[:2, :2].T + texture.uv_transform[:2, 2]
-    match texture.wrap:
+    place, pixels = places_on_image(texture.to_uv, uv), images[texture.image]
+    match texture.wrap_mode:
         case "repeat":
             place = place % 1.0
         case "mirror":
             place = 1 - np.abs(place % 2.0 - 1)
         case "clamp":
             pass
-    height, width = texture.pixels.shape[:2]
+    height, width = pixels.shape[:2]
     column, row = (
         np.clip(np.floor(place[:, axis] * size), 0, size - 1).astype(np.int64)
         for axis, size in ((0, width), (1, height))
     )
-    return texture.pixels[row, column, 0] / 255.0
+    return pixels[row, column, 0] / 255.0
 
 
 def _in_metres(model: Geometry, overrides: Overrides) -> Geometry:
@@ -242,16 +233,11 @@ def _in_metres(model: Geometry, overrides: Overrides) -> Geometry:
         mesh = unscaled if part.in_metres else np.eye(4)
         places = tuple(matrix @ place @ mesh for place in part.places)
         parts.append(dataclasses.replace(part, places=places))
-    return Geometry(tuple(parts), tuple(_rescaled(each, scale) for each in model.materials))
-
-
-def _rescaled(material: Material, scale: float) -> Material:
-    """The material in a model `scale` times as large."""
-    glass = material.surface
-    if not isinstance(glass, Glass) or glass.medium is None:
-        return material
-    glass = dataclasses.replace(glass, medium=glass.medium.scaled(scale))
-    return dataclasses.replace(material, surface=glass)
+    materials = [
+        each if each.medium is None else dataclasses.replace(each, medium=each.medium.scaled(scale))
+        for each in model.materials
+    ]
+    return dataclasses.replace(model, parts=tuple(parts), materials=tuple(materials))
 
 
 def _resurfaced(model: Geometry, material: Material, change: MaterialOverride) -> Material:
@@ -259,22 +245,26 @@ def _resurfaced(model: Geometry, material: Material, change: MaterialOverride) -
         # Opacity and normal map belong to the surface that is replaced.
         material = Material(
             material.name,
-            _settled(model, material.title, change),
+            _settled(model, material.title, change, change.surface),
             material.radiance,
-            two_sided=not isinstance(change.surface, Glass),
+            two_sided=True,
             title=material.title,
+            medium=change.medium,
         )
     if change.opacity is not None:
         material = dataclasses.replace(material, opacity=change.opacity)
     return material
 
 
-def _settled(model: Geometry, title: str, change: MaterialOverride) -> Surface:
+def _settled(
+    model: Geometry, title: str, change: MaterialOverride, surface: surfaces.Material
+) -> surfaces.Material:
     """The surface; glass is a thin sheet if `guess_thin` is set and the meshes are not closed."""
-    surface = change.surface
-    assert surface is not None
-    if not isinstance(surface, Glass) or surface.thin:
-        return surface
+    match surface:
+        case surfaces.Dielectric() | surfaces.MetallicRoughness(spec_trans=1, thin=False):
+            pass
+        case _:
+            return surface
     shares = [count_solids(mesh) for mesh in _whole_meshes(_parts_with(model, title))]
     closed, pieces = (sum(column) for column in zip((0, 0), *shares, strict=True))
     if closed == pieces:
@@ -294,7 +284,7 @@ def _settled(model: Geometry, title: str, change: MaterialOverride) -> Surface:
             LumitreeWarning,
             stacklevel=3,
         )
-    return dataclasses.replace(surface, thin=True)
+    return surfaces.make_material(surfaces.ThinDielectric.plugin, surface.parameters)
 
 
 def _whole_meshes(parts: Sequence[Part]) -> list[Mesh]:
@@ -422,52 +412,58 @@ def read_overrides(path: Path) -> Overrides:
 
 
 def _override(material: _Material, name: str) -> MaterialOverride:
-    surfaces = [
-        each
-        for each in (material.glass, material.metal, material.diffuse, material.principled)
-        if each is not None
-    ]
-    if len(surfaces) > 1:
-        raise LumitreeError(f"{name} has {len(surfaces)} surfaces; expected one")
-    emission = None
-    if material.emitter is not None:
-        emission = _emission(material.emitter, f"{name}.emitter")
-    surface, guess_thin = None, False
-    if surfaces:
-        surface, guess_thin = _surface(surfaces[0], name)
-    return MaterialOverride(surface, guess_thin, emission, material.opacity)
+    members = (material.glass, material.metal, material.diffuse, material.principled)
+    read = [each for each in members if each is not None]
+    if len(read) > 1:
+        raise LumitreeError(f"{name} has {len(read)} surfaces; expected one")
+    change = MaterialOverride(opacity=material.opacity)
+    if read:
+        change = dataclasses.replace(_surface(read[0], name), opacity=material.opacity)
+    if material.emitter is None:
+        return change
+    return dataclasses.replace(change, emission=_emission(material.emitter, f"{name}.emitter"))
 
 
-def _surface(read: _Glass | _Metal | _Diffuse | _Principled, name: str) -> tuple[Surface, bool]:
-    """The surface, and whether the file leaves open whether it is thin."""
-    if isinstance(read, _Glass):
-        return _glass(read, f"{name}.glass")
-    if isinstance(read, _Metal):
-        if read.conductor not in CONDUCTORS:
+def _surface(read: _Glass | _Metal | _Diffuse | _Principled, name: str) -> MaterialOverride:
+    match read:
+        case _Glass():
+            return _glass(read, f"{name}.glass")
+        case _Metal() if read.conductor not in CONDUCTORS:
             raise LumitreeError(
                 f"{name}.metal.conductor is {shown(read.conductor)!r}; expected Ag, Al, Au, Cr, "
                 "Cu, W or another of Mitsuba's, or none"
             )
-        return Metal(_rgb(read.tint), read.roughness, read.conductor), False
-    if isinstance(read, _Diffuse):
-        return Diffuse(_rgb(read.reflectance)), False
-    return MetallicRoughness(**{**vars(read), "base_color": _rgb(read.base_color)}), False
+        case _Metal():
+            return MaterialOverride(metal(_rgb(read.tint), read.roughness, read.conductor))
+        case _Diffuse():
+            return MaterialOverride(surfaces.Diffuse(reflectance=_rgb(read.reflectance)))
+        case _Principled():
+            surface = surfaces.MetallicRoughness(
+                base_color=_rgb(read.base_color),
+                metallic=read.metallic,
+                roughness=read.roughness,
+                eta=read.ior,
+                clearcoat=read.clearcoat,
+                spec_trans=read.transmission,
+                diff_trans=read.diffuse_transmission,
+                thin=read.thin,
+            )
+            return MaterialOverride(surface)
 
 
-def _glass(read: _Glass, name: str) -> tuple[Surface, bool]:
+def _glass(read: _Glass, name: str) -> MaterialOverride:
     solid = read.roughness > 0 or read.absorption is not None or read.scattering is not None
     if read.thin and solid:
         raise LumitreeError(
             f"{name} is thin; a thin sheet has no roughness, absorption or scattering: use tint, "
             "or thin = false"
         )
-    glass = Glass(
-        ior=read.ior, roughness=read.roughness, tint=_rgb(read.tint), thin=bool(read.thin)
-    )
     medium = Medium(_rgb(read.absorption or 0.0), _rgb(read.scattering or 0.0), read.anisotropy)
-    if any(medium.absorption + medium.scattering):
-        glass = dataclasses.replace(glass, medium=medium)
-    return glass, read.thin is None and not solid
+    return MaterialOverride(
+        glass(read.ior, read.roughness, _rgb(read.tint), thin=bool(read.thin)),
+        medium if any(medium.absorption + medium.scattering) else None,
+        guess_thin=read.thin is None and not solid,
+    )
 
 
 def _emission(read: _Emitter, name: str) -> Emission:
