@@ -1,7 +1,6 @@
 """Jobs whose tasks an executor runs: what they give is what one process gives."""
 
 import contextlib
-import re
 from pathlib import Path
 from typing import Any
 
@@ -227,14 +226,3 @@ def test_commands_have_options_for_workers(command, option, value, shared_by, mo
     assert main([*command.split(), *option]) == 0, capsys.readouterr().err
     assert len(executor.order) >= 2
     assert asked == [value]
-
-
-def test_workers_are_refused_where_there_are_no_light_paths(folder, capsys):
-    (folder / "a.ies").write_text("IESNA:LM-63-2002\nTILT=NONE\n")
-    for luminaire, more, message in (
-        ("a.ies", (), r"executor: not for a photometric file such as a\.ies; leave it out"),
-        ("lamp.xml", ("--parts", "field"), "executor: for the part light"),
-    ):
-        command = ["bake", luminaire, "-o", "a.lumitree", "--workers", "2", *more]
-        assert main(command) == 2
-        assert re.search(message, capsys.readouterr().err)

@@ -453,7 +453,7 @@ def _warn_unlit(scene: mi.Scene, luminaires: Sequence[PlacedLuminaire], sampling
     for placed in luminaires:
         asset = placed.asset
         if isinstance(asset, Asset) and asset.light_field is None:
-            causes[placed] = "the asset has no light field; bake it with --parts light"
+            causes[placed] = "the asset has no light field; bake it again"
         elif asset is not None and sampling == "uniform":
             causes[placed] = 'use the sampling "emission"'
     if not causes:
