@@ -17,14 +17,14 @@ SOURCE = ROOT / "src/lumitree"
 LINES = {
     "": 400,
     "asset": 2_900,
-    "cli": 1_700,
+    "cli": 1_760,
     "core": 4_900,
     "exports": 3_600,
     "fit": 5_900,
     "formats": 4_100,
     "lamp": 10_650,
     "many": 600,
-    "measure": 5_000,
+    "measure": 5_120,
     "octree": 1_050,
     "rendering": 9_300,
     "trace": 1_900,
@@ -32,7 +32,7 @@ LINES = {
 }
 FILES = 216
 OTHERS = {
-    "lines of tests": 41_800,
+    "lines of tests": 42_100,
     "lines of benchmarks": 9_800,
     "words of docs by hand": 45_000,
     "lines of README.md": 90,

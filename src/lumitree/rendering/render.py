@@ -202,6 +202,7 @@ def render(
         spp = _SAMPLES_PER_PIXEL
     _check(spp, time, noise, width)
     check_items("placements", placements, Placement)
+    placements = [lamp for placement in placements for lamp in placement.each()]
     check_seed(seed)
     settings = PhotoSettings(exposure=exposure, white_balance=white_balance, view=view)
     metres = metres_of(unit)

@@ -22,7 +22,7 @@ from lumitree.lamp.media import any_heterogeneous
 from lumitree.lamp.scene_file import SceneFile
 from lumitree.lamp.scene_shapes import SceneShape, check_evaluates, reusable_shapes, shapes_of_scene
 from lumitree.lamp.source import LuminaireSource
-from lumitree.rendering.asset_cache import open_asset
+from lumitree.rendering.asset_cache import asset_of
 from lumitree.rendering.asset_flux import asset_watts, factors_to
 from lumitree.rendering.emitter import Appearance, Sampling, shows_geometry
 from lumitree.rendering.layers import records_layers
@@ -105,10 +105,9 @@ class PlacedLuminaire:
 
 def _loaded(placement: Placement, metres: float) -> Luminaire | Asset:
     """The lamp of a placement; a photometric file, which is in metres, in the scene's unit."""
-    source = cast(Any, placement.source)
-    if not placement.is_baked:
-        return load_luminaire(source)
-    asset = open_asset(source)
+    asset = asset_of(placement.source)
+    if asset is None:
+        return load_luminaire(cast(Any, placement.source))
     return asset.scaled(1 / metres) if asset.is_photometric and metres != 1 else asset
 
 
