@@ -23,6 +23,7 @@ from support.geometry_assets import (
     IDENTITY,
     NOTHING,
     TEXTURE,
+    matrix,
     small_geometry,
     with_geometry,
 )
