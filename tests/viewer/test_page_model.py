@@ -23,7 +23,6 @@ from support.geometry_assets import (
     IDENTITY,
     NOTHING,
     TEXTURE,
-    matrix,
     small_geometry,
     with_geometry,
 )
@@ -189,7 +188,7 @@ def test_a_pattern_is_the_image_relative_to_its_largest_value():
         np.testing.assert_allclose(found, np.maximum(expected, 0.02), atol=0.03)
     edge = patterns.values(0, np.array([[1.2, 0.3], [-3, 0.3]]), "clamp")
     np.testing.assert_array_equal(edge, patterns.values(0, np.array([[0.9999, 0.3], [0, 0.3]])))
-    turned = places_on_image(matrix([[0, 2, 0, 0.5], [1, 0, 0, 0], *IDENTITY[2:]]), places)
+    turned = places_on_image(rows_of([[0, 2, 0, 0.5], [1, 0, 0, 0], *IDENTITY[2:]]), places)
     np.testing.assert_allclose(turned, np.stack([2 * places[:, 1] + 0.5, places[:, 0]], axis=1))
 
 

@@ -21,12 +21,12 @@ from lumitree.asset.materials import (
     TwoSided,
 )
 from lumitree.core.device import on_device
-from lumitree.core.frames import LocalFrame
+from lumitree.core.frames import LocalFrame, rows_of, similarity
 from lumitree.core.octahedral import middle_directions
 from lumitree.viewer.view import make_page
 from support.browser import CHROMIUM, evaluate
 from support.fields import random_asset
-from support.geometry_assets import NOTHING, matrix, with_geometry
+from support.geometry_assets import NOTHING, with_geometry
 from support.light_fields import random_light_field
 
 pytestmark = [
@@ -51,13 +51,7 @@ def camera_rays(eye, target, up, fov, width, height):
     return direction / np.linalg.norm(direction, axis=-1, keepdims=True)
 
 
-CHECKED = Texture(
-    image=0,
-    raw=False,
-    filter_type="bilinear",
-    wrap_mode="repeat",
-    to_uv=matrix(np.diag([3.0, 3, 1, 1])),
-)
+CHECKED = Texture(image=0, raw=False, to_uv=rows_of(np.diag([3.0, 3, 1, 1])))
 MATERIALS = (
     Dielectric(int_ior=1.5, ext_ior=1.0),
     Diffuse(reflectance=0.2),
@@ -73,20 +67,13 @@ MATERIALS = (
 def model_shapes():
     """A bulb of absorbing glass, a mirror, a rough and a diffuse ball, and a pane, by materials."""
 
-    def placed(kind, material, scale, at, radiance=None, interior=None):
-        to_world = np.diag([*np.broadcast_to(scale, 3), 1.0])
-        to_world[:3, 3] = at
-        return UnitShape(
-            type=kind,
-            to_world=matrix(to_world),
-            material=material,
-            radiance=radiance,
-            interior=interior,
-        )
+    def placed(kind, material, scale, at, **options):
+        place = rows_of(similarity(np.eye(3), scale, at))
+        return UnitShape(type=kind, to_world=place, material=material, **options)
 
     return (
         placed("sphere", 0, 0.3, (-0.2, 0.2, 0.1), interior=Medium((0.2, 1.0, 2.0))),
-        placed("sphere", 1, 0.12, (-0.2, 0.2, 0.1), (6.0, 5.0, 4.0)),
+        placed("sphere", 1, 0.12, (-0.2, 0.2, 0.1), radiance=(6.0, 5.0, 4.0)),
         placed("rectangle", 2, 0.6, (0.1, 0, -0.7)),
         placed("sphere", 3, 0.25, (0.4, -0.3, 0.1)),
         placed("rectangle", 4, 0.2, (0.5, 0.4, 0.4)),
