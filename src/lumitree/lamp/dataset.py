@@ -14,7 +14,7 @@ import dataclasses
 import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -226,7 +226,7 @@ class Dataset:
         return View(frame, planes["RGB"], planes["geometric"], planes["straight_through"])
 
 
-def _parse(value: Any) -> Manifest:
+def _parse(value: object) -> Manifest:
     record = Record(value, "the manifest")
     # Checked first, because files of other versions may have other members.
     record.expect_version(VERSION)
@@ -244,7 +244,7 @@ def _parse(value: Any) -> Manifest:
     )
 
 
-def _parse_frame(value: Any) -> Frame:
+def _parse_frame(value: object) -> Frame:
     record = Record(value, "a frame")
     record.expect_keys(*_FRAME_KEYS)
     return Frame(
