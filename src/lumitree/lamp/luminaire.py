@@ -17,7 +17,7 @@ from lumitree.core.backend import in_turn, load_mitsuba
 from lumitree.core.executor import packed, unpacked
 from lumitree.core.frames import LocalFrame, float32_step, is_far
 from lumitree.core.mitsuba_meshes import mesh_vertices
-from lumitree.errors import LumitreeError, LumitreeWarning, shown, shown_names
+from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.lamp.builtin import BUILTIN
 from lumitree.lamp.media import any_scatters, media_of
 from lumitree.lamp.read_source import (
@@ -200,9 +200,7 @@ def _luminaire_of_source(luminaire: Opened) -> Luminaire:
         placed = file.recentred(origin)
         scene = placed.instantiate()
     fingerprint = fingerprint_of(file, source)
-    loaded = _luminaire(name, fingerprint, scene, bool(media), shapes, placed, origin)
-    _warn_of_far_meshes(loaded, placed)
-    return loaded
+    return _luminaire(name, fingerprint, scene, bool(media), shapes, placed, origin)
 
 
 def _origin_near(box: NDArray[np.float64], tolerance: float = 1) -> NDArray[np.float64]:
@@ -217,23 +215,6 @@ def _origin_near(box: NDArray[np.float64], tolerance: float = 1) -> NDArray[np.f
         return np.zeros(3)
     # Exact in float32, so that vertices of mesh files are moved exactly.
     return box.mean(axis=0).astype(np.float32).astype(np.float64)
-
-
-def _warn_of_far_meshes(luminaire: Luminaire, file: SceneFile) -> None:
-    """Warn of mesh files with vertices so far from their own origin that float32 rounds them."""
-    size, centre = float(luminaire.size.max()), luminaire.scene_frame.centre
-    # A mesh is about where the lamp is.
-    offsets = {name: place - centre for name, place in file.mesh_files()}
-    far = [name for name, offset in offsets.items() if is_far(offset, size)]
-    if far:
-        step = max(float32_step(offsets[name]) for name in far)
-        warnings.warn(
-            f"{luminaire.name}: vertices of {shown_names(far)} are so far from the origin of their "
-            f"file that Mitsuba rounds them to multiples of {step:.2g}, {step / size:.2%} of the "
-            "lamp's size; move the mesh to the origin of its file and place it by to_world",
-            LumitreeWarning,
-            stacklevel=4,
-        )
 
 
 def _luminaire(

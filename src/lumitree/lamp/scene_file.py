@@ -271,14 +271,6 @@ class SceneFile:
             props["to_world"] = transform(matrix_of(props) @ similarity(np.eye(3), 1.0, place))
         return found.moved(similarity(np.eye(3), 1.0, -np.asarray(origin)))
 
-    def mesh_files(self) -> list[tuple[str, NDArray[np.float64]]]:
-        """Name of each shape that a file has, and [3] where its transform puts (0, 0, 0)."""
-        return [
-            (shown(props.id() or props["filename"], 100), matrix_of(props)[:3, 3])
-            for props in self._placed_shapes()
-            if "filename" in props
-        ]
-
     def analytic_box(self) -> NDArray[np.float64]:
         """[2, 3] a box around the shapes that are no files, in double precision; NaN for none."""
         corners = [np.full((2, 3), np.nan)]
