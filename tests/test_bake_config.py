@@ -73,11 +73,6 @@ def test_a_budget_of_rays_replaces_that_of_time(tmp_path):
         ("[octree.refine]\nrays = 17", "rays is 17; expected a multiple of 16"),
         ("octree = 3", "octree is '3'; expected a table"),
         ("method = ['octree']", "bake.toml: method is \"['octree']\"; expected 'octree' or"),
-        ("[octree]\ntree_depth = 5", "octree: for the radiance field, which is not made"),
-        ("parts = ['field']\n[light]\npaths = 9", "light: not used for bulbs; leave it out"),
-        ("[network]\nviews = 9", "network: not used for bulbs; leave it out"),
-        ("parts = ['field']\n[octree.views]\nhull_level = 5", "octree.views: not used for bulbs"),
-        ("method = 'network'\n[octree]\ntree_depth = 5", "octree: not used for bulbs"),
     ],
 )
 def test_files_that_are_wrong_are_refused(folder, capsys, text, message):

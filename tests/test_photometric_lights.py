@@ -200,18 +200,10 @@ def test_an_asset_is_compared_with_its_file(folder, capsys):
     [
         (["--parts", "light,field"], "parts are light, field, but a.ies is a photometric"),
         (["--parts", "field"], "only the part light can be made"),
-        (["--seed", "0"], "seed: not for a photometric file such as a.ies"),
-        (["--time", "3s", "--workers", "2"], "time, executor: not for"),
         (["--keep", "a", "--materials", "m.toml"], "materials, keep: not for"),
-        (["--method", "network"], "method: not for"),
-        (["--work", "w"], "work: not for"),
-        (["--config", "network.toml"], "method: not for"),
-        (["--config", "light.toml"], "light: not used for a.ies; leave it out"),
     ],
 )
-def test_settings_of_a_bake_that_do_not_apply_are_refused(folder, capsys, options, message):
-    (folder / "network.toml").write_text("method = 'network'")
-    (folder / "light.toml").write_text("[light]\npaths = 9")
+def test_parts_and_options_that_do_not_apply_are_refused(folder, capsys, options, message):
     before = sorted(folder.iterdir())
     assert main(["bake", "a.ies", "-o", "a.lumitree", *options]) == 2
     error = capsys.readouterr().err

@@ -72,7 +72,8 @@ def explained(function: F) -> F:
     """Decorator of public functions, with errors of a kind that users can read.
 
     Errors of the system, of memory and of readers for which readers of files have no message become
-    a `LumitreeError`, and the `TypeError` for an unknown keyword names the nearest known one. The
+    a `LumitreeError`, and the `TypeError` for an unknown keyword names the nearest known one. An
+    empty text, which as a path would be the current folder, is refused in place of any value. The
     type of the result is the type of the function, so that an editor finds where an argument is
     passed.
     """
@@ -84,6 +85,9 @@ def explained(function: F) -> F:
         for name in () if takes_any else kwargs.keys() - known.keys():
             hint = did_you_mean(name, known)
             raise TypeError(f"{function.__name__}() has no argument {name!r}{hint}")
+        for name, value in (*zip(known, args, strict=False), *kwargs.items()):
+            if "" in [each for each in _items(value) if isinstance(each, str)]:
+                raise LumitreeError(f"{name} is ''; expected a name or another value")
         try:
             return function(*args, **kwargs)
         except OSError as error:
@@ -107,6 +111,10 @@ def explained(function: F) -> F:
         raise LumitreeError(reason)
 
     return cast(F, run)
+
+
+def _items(value: object) -> Iterable[object]:
+    return value if isinstance(value, list | tuple) else [value]
 
 
 def renderer_reason(error: BaseException) -> str | None:

@@ -50,3 +50,21 @@ def test_numbers_are_in_their_range(value, message):
 def test_texts_in_place_of_numbers_and_lists_are_refused(make, message):
     with pytest.raises(LumitreeError, match=message):
         make()
+
+
+@pytest.mark.parametrize(
+    ("call", "name"),
+    [
+        (lambda: lumitree.preview(""), "luminaire"),
+        (lambda: lumitree.capture("bulbs", ""), "output"),
+        (lambda: lumitree.bake("bulbs", work=""), "work"),
+        (lambda: lumitree.bake_many([""], "lamps"), "luminaires"),
+        (lambda: lumitree.collect(""), "folder"),
+        (lambda: lumitree.photometry("bulbs", ["a.ies", ""]), "output"),
+        (lambda: lumitree.shape(""), "a source"),
+        (lambda: lumitree.load_luminaire(lumitree.LuminaireSource("")), "a source"),
+    ],
+)
+def test_an_empty_path_is_not_the_current_folder(call, name):
+    with pytest.raises(LumitreeError, match=f"{name} is ''; expected a"):
+        call()

@@ -1,5 +1,6 @@
 """TOML files of placements, and the luminous flux and colour of a placed lamp."""
 
+# pyright: reportArgumentType=false
 import dataclasses
 
 import numpy as np
@@ -47,6 +48,37 @@ def test_damaged_files_are_refused_or_read(tmp_path, mi):
     assert outcomes == {True, False}
 
 
+def test_an_array_is_a_lamp_at_each_of_its_places(tmp_path):
+    text = "[lamps.hall]\nasset = 'a.lumitree'\nat = [1, 2, 3]\ngrid = [3, 2]\npitch = [2, 1]"
+    (tmp_path / "lights.toml").write_text(text)
+    (array,) = lumitree.read_placements(tmp_path / "lights.toml")
+    lamps = array.each()
+    assert [lamp.at for lamp in lamps] == [
+        *[(-1, 2, 2.5), (1, 2, 2.5), (3, 2, 2.5)],
+        *[(-1, 2, 3.5), (1, 2, 3.5), (3, 2, 3.5)],
+    ]
+    assert {(lamp.label, lamp.grid, lamp.pitch) for lamp in lamps} == {("hall", None, None)}
+    assert lamps[0].each() == [lamps[0]]
+    upright = dataclasses.replace(array, grid=(1, 2, 1), pitch=(9.0, 3.0, 9.0))
+    assert [lamp.at for lamp in upright.each()] == [(1, 0.5, 3), (1, 3.5, 3)]
+
+
+@pytest.mark.parametrize(
+    ("grid", "pitch", "message"),
+    [
+        ((3, 2), None, "pitch is None; expected 2 distances"),
+        (None, (1, 2), "grid is None; expected 2 or 3 whole numbers"),
+        ((3, 0), (1, 2), r"grid is \(3, 0\)"),
+        ((1000, 1000), (1, 2), "of 10,000 lamps at most"),
+        ((3, 2, 1), (1, 2), "expected 3 distances"),
+        ((3, 2), (1, np.nan), "expected 2 distances"),
+    ],
+)
+def test_unusable_arrays_are_refused(grid, pitch, message):
+    with pytest.raises(LumitreeError, match=message):
+        lumitree.Placement("a.lumitree", (0, 0, 0), grid=grid, pitch=pitch)
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -86,12 +118,12 @@ def test_a_wrong_file_gives_one_line_with_file_and_lamp(tmp_path, text, message)
 def test_a_missing_file_and_explicit_geometry_are_refused(tmp_path):
     with pytest.raises(LumitreeError, match="does not exist; expected a TOML file of placements"):
         lumitree.read_placements(tmp_path / "no.toml")
-    for options in ({"lumens": 800}, {"temperature": 2700}):
+    for lumens, temperature in ((800, None), (None, 2700)):
         with pytest.raises(LumitreeError, match="explicit geometry"):
-            lumitree.Placement("bulbs", **options)
-    for options in ({"lumens": -1}, {"lumens": np.nan}, {"temperature": 99}):
+            lumitree.Placement("bulbs", lumens=lumens, temperature=temperature)
+    for lumens, temperature in ((-1, None), (np.nan, None), (None, 99)):
         with pytest.raises(LumitreeError, match="expected"):
-            lumitree.Placement("a.lumitree", **options)
+            lumitree.Placement("a.lumitree", lumens=lumens, temperature=temperature)
 
 
 def placed_flux(mi, placement):
@@ -123,7 +155,7 @@ def test_a_placed_lamp_has_the_lumens_and_the_colour(mi, asset, size):
     options = {"size": size, "lumens": 800, "temperature": 2700}
     watts, errors = placed_flux(mi, lumitree.Placement(asset, **options))
     lumens = float(luminance(watts))
-    # Of a field, the flux is an estimate too, of about as many rays.
+    # The flux of a field is an estimate too, by about as many rays.
     tolerance = 5 * np.sqrt(2) * float(luminance(errors))
     assert abs(lumens - 800) < tolerance
     assert tolerance < 20
@@ -135,20 +167,20 @@ def test_a_placed_lamp_has_the_lumens_and_the_colour(mi, asset, size):
 
 
 def test_temperature_alone_keeps_the_lumens_and_lumens_alone_the_colour(mi):
-    from lumitree.rendering.asset_flux import asset_watts, gain_to
+    from lumitree.rendering.asset_flux import asset_watts, factors_to
 
     watts = asset_watts(LIGHT_FIELD)
-    warm = watts * gain_to(watts, None, 2000, "lamp")
+    warm = watts * factors_to(watts, None, 2000, "lamp")
     assert luminance(warm) == pytest.approx(luminance(watts))
-    bright = watts * gain_to(watts, 10.0, None, "lamp")
+    bright = watts * factors_to(watts, 10.0, None, "lamp")
     np.testing.assert_allclose(bright / bright.sum(), watts / watts.sum())
     assert luminance(bright) == pytest.approx(10)
     with pytest.raises(LumitreeError, match="lamp emits no blue light, which 6500 K has"):
-        gain_to(np.array([1.0, 1.0, 0.0]), None, 6500, "lamp")
+        factors_to(np.array([1.0, 1.0, 0.0]), None, 6500, "lamp")
     with pytest.raises(LumitreeError, match="emits no light"):
-        gain_to(np.zeros(3), 10.0, None, "lamp")
+        factors_to(np.zeros(3), 10.0, None, "lamp")
     # A black body of 1000 K has no blue in linear sRGB.
-    assert gain_to(np.array([1.0, 1.0, 0.0]), None, 1000, "lamp")[2] == 0
+    assert factors_to(np.array([1.0, 1.0, 0.0]), None, 1000, "lamp")[2] == 0
 
 
 ROOM = (

@@ -59,14 +59,14 @@ def test_it_imports_the_standard_library_and_blender_alone():
 
 def test_factors_are_those_of_lumitree():
     from lumitree.core.photometry import luminance
-    from lumitree.rendering.asset_flux import gain_to
+    from lumitree.rendering.asset_flux import factors_to
 
     random = np.random.default_rng(0)
     for kelvin in [1000.0, 20000.0, *random.uniform(1000, 20000, 20)]:
         watts = random.uniform(0.1, 5, 3)
         tint = np.array(light.tint_for(watts.tolist(), kelvin))
         np.testing.assert_allclose(
-            tint, gain_to(watts, None, kelvin, "lamp"), atol=1e-3 * tint.max()
+            tint, factors_to(watts, None, kelvin, "lamp"), atol=1e-3 * tint.max()
         )
         found = light.lumens(watts.tolist(), tint.tolist(), 1.5, 2.0)
         assert found == pytest.approx(float(luminance(watts)) * 1.5 * 4, rel=1e-3)

@@ -143,7 +143,7 @@ print(json.dumps(found))
 
 def test_an_asset_is_imported_and_changed(archive, asset, tmp_path):
     from lumitree.core.photometry import colour_temperature, luminance
-    from lumitree.rendering.asset_flux import asset_watts, gain_to
+    from lumitree.rendering.asset_flux import asset_watts, factors_to
 
     found = in_blender(archive, tmp_path, IMPORT, tmp_path / "lamp.lumitree")
 
@@ -160,7 +160,7 @@ def test_an_asset_is_imported_and_changed(archive, asset, tmp_path):
         np.clip(colour_temperature(watts)[0], 1e3, 2e4), rel=1e-3
     )
     np.testing.assert_allclose(flux("lumens set"), watts.mean() * 800 / lumens, rtol=1e-5)
-    wanted = gain_to(watts, 800, 2700, "lamp")
+    wanted = factors_to(watts, 800, 2700, "lamp")
     np.testing.assert_allclose(flux("temperature set"), watts.mean() * wanted, rtol=2e-3)
     assert found["lumens then"] == pytest.approx(800, rel=1e-3)
     np.testing.assert_allclose(flux("again"), 4 * watts.mean() * wanted, rtol=2e-3)

@@ -6,12 +6,13 @@ import functools
 import io
 import json
 import os
+import re
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from cyclopts import App, CycloptsError, Parameter
+from cyclopts import App, CycloptsError, Parameter, UnknownOptionError, UnusedCliTokensError
 
 from lumitree._version import __version__
 from lumitree.cli.commands import COMMANDS, GROUPS, Command, Given, join_groups
@@ -92,9 +93,26 @@ def _parsed(arguments: list[str]) -> tuple[str, Given] | None:
         return parser(join_groups(name, arguments), exit_on_error=False, print_error=False)
     except CycloptsError as error:
         of = f" {name}" if name in COMMANDS else ""
-        # cyclopts also lists the first of the commands.
-        text = " ".join(str(error).split()).partition(" Available commands:")[0].rstrip(".")
-        raise LumitreeError(f"{text}; see 'lumitree{of} --help'") from None
+        raise LumitreeError(f"{_problem(name, error)}; see 'lumitree{of} --help'") from None
+
+
+def _problem(command: str, error: CycloptsError) -> str:
+    """A message of cyclopts; an unknown option names the options whose help has its words."""
+    if isinstance(error, UnusedCliTokensError):
+        return f"too many arguments: {', '.join(map(shown, error.unused_tokens or ()))}"
+    # cyclopts also lists the first of the commands.
+    text = " ".join(str(error).split()).partition(" Available commands:")[0].rstrip(".")
+    if not isinstance(error, UnknownOptionError) or "Did you mean" in text:
+        return text
+    name = (error.token.keyword or error.token.value).partition("=")[0].strip("-")
+    words = re.compile("[-_ ]".join(map(re.escape, re.split("[-_]", name))), re.I)
+    options = COMMANDS[command].all_options() if command in COMMANDS else {}
+    near = [
+        f"--{each.replace('_', '-')}"
+        for each in options
+        if words.search(options[each].help.partition(". ")[0])
+    ]
+    return f"{text}{', which may be ' if near else ''}{' or '.join(near)}"
 
 
 def program(command: str | None = None) -> App:

@@ -32,6 +32,8 @@ from lumitree.cli.output import (
 )
 from lumitree.cli.signatures import (
     NEEDED,
+    TEXT,
+    TEXTS,
     Option,
     convert,
     described,
@@ -39,6 +41,7 @@ from lumitree.cli.signatures import (
     lamps,
     one,
     options_of,
+    value_of,
     vector,
 )
 from lumitree.errors import LumitreeError, shown
@@ -62,6 +65,7 @@ class Command:
         options: further options, and those that differ from the parameters of the function.
         text: first sentence of the help. Default: of the docstring of the function.
         opens: see `show`.
+        exclusive: two options only one of which can be given.
     """
 
     function: str = ""
@@ -70,6 +74,7 @@ class Command:
     options: Callable[[], Mapping[str, Option]] = dict
     text: str = ""
     opens: str = ""
+    exclusive: tuple[str, str] = ("workers", "scheduler")
 
     def help(self) -> tuple[str, str]:
         """First sentence and further text of the help."""
@@ -86,6 +91,8 @@ class Command:
         return found | dict(self.options()) | {"json": _JSON}
 
     def __call__(self, given: Given) -> Any:
+        if given.keys() >= {*self.exclusive}:
+            raise LumitreeError(f"--{' and --'.join(self.exclusive)} are given; give one of them")
         return call(self.function, given) if self.run is None else self.run(given)
 
     def print(self, result: Any, given: Given) -> None:
@@ -100,32 +107,28 @@ def _file(help: str, alias: str | tuple[str, ...] = (), default: Any = None) -> 
     return Option(Annotated[Path | None, Parameter(converter=one(str), alias=alias)], help, default)
 
 
-def _text(help: str) -> Option:
-    """An option with a text that may begin with a hyphen, such as "-" for the terminal."""
-    return Option(Annotated[str, Parameter(allow_leading_hyphen=True)], help)
-
-
-def _patterns(help: str) -> Option:
-    return Option(list[str], help)
-
-
 _JSON = _file("Also write the results as JSON to this file.")
 _READING = {
     "materials": _file(
         "TOML file that overrides materials, unit and up axis of a model. Default: the .toml file "
         "with the name of the model, if there is one."
     ),
-    "keep": _patterns(
+    "keep": Option(
+        TEXTS,
         "Take only the shapes (.xml, by id, by the id of the BSDF, or by number such as #3) or "
         "parts (models, by name or material) that match the pattern, with * and ?; may be "
-        "repeated. 'preview' lists them."
+        "repeated. 'preview' lists them.",
     ),
-    "drop": _patterns("Leave the shapes or parts that match the pattern away; may be repeated."),
+    "drop": Option(
+        TEXTS, "Leave the shapes or parts that match the pattern away; may be repeated."
+    ),
 }
+# Options that may be given several times for one lamp.
+_REPEATED = ("keep", "drop")
 _WORKERS = {
     "workers": Option(int, "Number of processes that share the work. Default: this one."),
     "scheduler": Option(
-        str,
+        TEXT,
         "Address of a Dask scheduler whose workers share the work, such as "
         "tcp://192.168.0.2:8786 (`pip install 'lumitree[cluster]'`).",
     ),
@@ -137,8 +140,6 @@ def workers(given: Given) -> Iterator[Given]:
     """Context with the arguments, with an `executor` in place of `workers` and `scheduler`."""
     given = dict(given)
     count, address = given.pop("workers", None), given.pop("scheduler", None)
-    if count is not None and address is not None:
-        raise LumitreeError("--workers and --scheduler are given; give one of them")
     from lumitree.core.executor import dask_executor, process_pool
 
     with contextlib.ExitStack() as stack:
@@ -183,6 +184,11 @@ def group_options(begin: str) -> dict[str, Option]:
     }
     begins = Parameter(converter=each_text, completer=lamps if begin == "place" else None)
     option = Option(Annotated[list[Path], begins, group], found.pop(first).help)
+    if begin == "place":
+        found |= {
+            name: dataclasses.replace(each, type=Annotated[each.type, group])
+            for name, each in _READING.items()
+        }
     return {begin: option, **found}
 
 
@@ -193,9 +199,11 @@ def join_groups(command: str, arguments: Sequence[str]) -> list[str]:
     """
     groups = {"render": ("place",), "illuminance": ("place", "plane", "surface")}.get(command, ())
     fields = {begin: options_of(GROUPS[begin][0]).keys() - {GROUPS[begin][1]} for begin in groups}
-    joined: list[str | dict[str, str]] = []
+    if "place" in fields:
+        fields["place"] |= _READING.keys()
+    joined: list[str | dict[str, Any]] = []
     # The group to which an option belongs that comes now.
-    latest: dict[str, dict[str, str]] = {}
+    latest: dict[str, dict[str, Any]] = {}
     rest = iter(arguments)
     for argument in rest:
         name, equals, value = argument.removeprefix("--").partition("=")
@@ -203,14 +211,15 @@ def join_groups(command: str, arguments: Sequence[str]) -> list[str]:
         if not argument.startswith("--") or not (owners or name in groups):
             joined.append(argument)
             continue
-        if not equals and (value := next(rest, "")) == "":
-            raise LumitreeError(f"--{name} needs a value; see 'lumitree {command} --help'")
+        value = value_of(f"--{name}", value if equals else next(rest, ""))
         if name in groups:
             group = {GROUPS[name][1]: value}
             joined += [f"--{name}", group]
             latest |= dict.fromkeys(fields[name], group)
         elif name not in latest:
             raise LumitreeError(f"--{name} comes before any {' or '.join(owners)}")
+        elif name in _REPEATED:
+            latest[name].setdefault(name, []).append(value)
         elif name in latest[name]:
             first = next(iter(latest[name].values()))
             raise LumitreeError(f"--{name} is given twice for {shown(first)}")
@@ -222,13 +231,19 @@ def join_groups(command: str, arguments: Sequence[str]) -> list[str]:
 def _grouped(begin: str, given: Given) -> list[Any]:
     """The objects of the groups of one kind, which it takes from the arguments."""
     import lumitree
+    from lumitree.lamp.source import LuminaireSource
 
-    kind, found = GROUPS[begin][0], []
+    (kind, first), found = GROUPS[begin], []
     for text in given.pop(begin, ()):
-        values = {
-            name: convert(name, options_of(kind)[name], value)
-            for name, value in json.loads(text).items()
+        values = json.loads(text)
+        reading = {
+            name: values.pop(name) for name in _READING if begin == "place" and name in values
         }
+        values = {
+            name: convert(name, options_of(kind)[name], value) for name, value in values.items()
+        }
+        if reading:
+            values[first] = LuminaireSource(values[first], **reading)
         found.append(getattr(lumitree, kind)(**values))
     return found
 
@@ -241,13 +256,23 @@ def _places(given: Given) -> list[Any]:
     return (lumitree.read_placements(file) if file else []) + _grouped("place", given)
 
 
-# Options of `bake` that are settings of `BakeConfig`.
-_SETTINGS = ("quality", "method", "parts", "time", "rays", "lumens", "temperature", "seed")
+# Arguments of `bake` that are settings.
+_SETTINGS = (
+    "config",
+    "quality",
+    "method",
+    "parts",
+    "time",
+    "rays",
+    "lumens",
+    "temperature",
+    "seed",
+)
 
 
 def _bake(given: Given) -> Any:
-    from lumitree.cli.config_file import read_config, refuse_unused, write_config
-    from lumitree.fit.config import chosen_config
+    from lumitree.cli.config_file import read_config, write_config
+    from lumitree.fit.config import chosen_config, refuse_unused
 
     given = dict(given)
     names = given.pop("source", ())
@@ -264,15 +289,12 @@ def _bake(given: Given) -> Any:
         raise LumitreeError(f"{missing} is needed; see 'lumitree bake --help'")
     task, keys = given.pop("task", None), []
     if (file := given.pop("config", None)) is not None:
-        given["config"], further, keys = read_config(
-            file, given.pop("quality", None), given.pop("method", None)
-        )
-        given = further | given
+        chosen = {name: given.pop(name) for name in ("quality", "method") if name in given}
+        given["config"], further, keys = read_config(file, **chosen)
+        given, keys = further | given, [*chosen, *keys]
     reading = {name: given.pop(name) for name in _READING if name in given}
     sources = [_titled(name, reading) for name in listed(names)]
-    settings = {name: given[name] for name in ("config", *_SETTINGS) if name in given}
-    config = chosen_config(**settings)
-    refuse_unused(keys, config, sources)
+    config = chosen_config(**{name: given[name] for name in _SETTINGS if name in given})
     if len(sources) == 1 and not output.endswith(("/", os.sep)):
         (source,) = sources
         for extra, name in ((task, "--task"), (source.title, f"{shown(source.title)}=")):
@@ -281,6 +303,7 @@ def _bake(given: Given) -> Any:
                     f"{name}: for several luminaires; leave it out, or give a folder with / at its "
                     "end after -o"
                 )
+        refuse_unused([*keys, *given], config, sources)
         return call("bake", given, source)
     if output.endswith(".lumitree"):
         raise LumitreeError(
@@ -289,10 +312,9 @@ def _bake(given: Given) -> Any:
         )
     if "work" in given:
         raise LumitreeError("work: for one luminaire at a time; leave it out")
-    # For one source, `bake` refuses them.
-    refuse_unused([name for name in settings if name not in keys], config, sources)
-    of_call = {name: given[name] for name in ("variant", "workers", "scheduler") if name in given}
-    return call("bake_many", of_call | {"task": task}, sources, output, config)
+    refuse_unused(keys, config, sources)
+    del given["output"]
+    return call("bake_many", given | {"task": task}, sources, output)
 
 
 def _titled(text: str, reading: Given) -> Any:
@@ -517,7 +539,7 @@ def _show_demo(result: Given, given: Given) -> None:
 
 
 # Options of how a photograph is taken.
-_SHOWN = ("exposure", "white_balance", "view")
+_SHOWN = ("exposure", "white_balance", "view", "bloom")
 _IMAGE = _file("Image to write: .exr, linear radiance; or .png, as --view shows it.", "-o", NEEDED)
 
 
@@ -545,12 +567,13 @@ COMMANDS: dict[str, Command] = {
         _show_bake,
         lambda: {
             "source": Option(
-                Annotated[list[Path], Parameter(converter=each_text, completer=lamps)],
+                Annotated[Path, Parameter(converter=one(str), completer=lamps)],
                 f"{options_of('bake')['source'].help} Several are baked into a "
                 "folder, NAME=LUMINAIRE under that name; @FILE stands for the luminaires that a "
                 "text file lists, one a line.",
                 (),
                 positional=True,
+                several=True,
             ),
             "output": _file(
                 "The .lumitree file to write; for several luminaires, or with / at its end, a "
@@ -562,9 +585,10 @@ COMMANDS: dict[str, Command] = {
                 "TOML file of all settings, such as irradiance_paths or [octree] tree_depth; "
                 "options replace its values, and it replaces the values of the quality."
             ),
-            "write_config": _text(
+            "write_config": Option(
+                Annotated[str, Parameter(converter=one(str), allow_leading_hyphen=True)],
                 "Write the settings of the quality, with comments, to this file, or with - to the "
-                "terminal, and end."
+                "terminal, and end.",
             ),
             "task": Option(
                 Annotated[str | None, Parameter(converter=one(task))],
@@ -585,9 +609,10 @@ COMMANDS: dict[str, Command] = {
             "layers": dataclasses.replace(
                 _file("A file of `render --layers`."), default=NEEDED, positional=True
             ),
-            "gain": _patterns(
+            "gain": Option(
+                TEXTS,
                 "LAYER=R,G,B: factors on the red, green and blue light of a layer, or one number "
-                "for all; may be repeated."
+                "for all; may be repeated.",
             ),
             "output": _IMAGE,
         },
@@ -657,6 +682,7 @@ COMMANDS: dict[str, Command] = {
             ),
             "port": Option(int, "Port to serve on. Default: a free one.", 0),
         },
+        exclusive=("output", "port"),
     ),
     "export": Command("export", show=lambda result, _: print_exported(result)),
     "blender-extension": Command("blender_extension", opens="file"),

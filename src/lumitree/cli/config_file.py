@@ -4,20 +4,17 @@ import dataclasses
 import inspect
 import sys
 import textwrap
-import warnings
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
 from lumitree.cli.signatures import meanings
-from lumitree.core.toml_file import converted, read_toml
-from lumitree.errors import LumitreeError, LumitreeWarning, shown
+from lumitree.core.tables import converted, read_toml
+from lumitree.errors import LumitreeError, shown
 from lumitree.fit.config import BakeConfig, Method, Quality
-from lumitree.lamp.source import RAY_SUFFIXES, LuminaireSource, photometric_suffix, source_kind
 
 _WIDTH = 98
 _FURTHER = ("work", "variant")
-_BUDGET = ("time", "rays")
 _HEAD = """# Settings of 'lumitree bake --config FILE'. Remove the # before a setting to change it.
 # "..." stands for None: the setting has no value unless it is given.
 
@@ -65,50 +62,6 @@ def _names(values: dict[str, Any]) -> list[str]:
     """The keys of a table, and the keys of tables in it after a dot."""
     tables = {key: value for key, value in values.items() if isinstance(value, dict)}
     return [*values, *(f"{key}.{each}" for key, table in tables.items() for each in table)]
-
-
-def refuse_unused(
-    names: Collection[str], config: BakeConfig, sources: Sequence[LuminaireSource]
-) -> None:
-    """Refuse settings that no source uses; warn of settings that only some use.
-
-    Args:
-        names: the settings that are given: keys of a file, and names of options.
-        config: all settings.
-    """
-    without: dict[str, list[str]] = {}
-    for source in sources:
-        unused = _unused(config, source)
-        for name in names:
-            if name in unused:
-                without.setdefault(name, []).append(source.name)
-    for name, found in without.items():
-        if len(found) < len(sources):
-            more = f" and {len(found) - 1} more" if len(found) > 1 else ""
-            warnings.warn(
-                f"{name}: not used for {shown(found[0], 200)}{more}", LumitreeWarning, stacklevel=2
-            )
-        elif name in ("octree", *_BUDGET) and config.method == "octree":
-            raise LumitreeError(
-                f"{name}: for the radiance field, which is not made; add the part field"
-            )
-        else:
-            raise LumitreeError(f"{name}: not used for {shown(found[0], 200)}; leave it out")
-
-
-def _unused(config: BakeConfig, source: LuminaireSource) -> set[str]:
-    """Names of settings that the bake of a source does not use."""
-    kind = source_kind(source)
-    if kind == "photometric":
-        light = set() if photometric_suffix(source.name) in RAY_SUFFIXES else {"light"}
-        return light | {"irradiance_paths", "seed", "octree", "network", *_BUDGET}
-    if kind == "dataset":
-        return {"irradiance_paths", "light", "network", "octree.estimate"}
-    light = set() if "light" in (config.parts or ("light",)) else {"light"}
-    if config.method == "network":
-        return light | {"octree", *_BUDGET}
-    field = set() if "field" in (config.parts or ()) else {"octree", *_BUDGET}
-    return light | field | {"network", "octree.views"}
 
 
 def _completed(values: dict[str, Any], config: Any) -> dict[str, Any]:

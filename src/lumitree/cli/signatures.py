@@ -31,7 +31,7 @@ _SECTIONS = r"^(?:Args|Attributes|Returns|Raises|Example):\n"
 # Not read from the registry, whose imports take longer than a completion may.
 BUILTIN_NAMES = ("arc", "bulbs", "cluster", "dallas", "neoclassical", "portica", "star")
 _FILES = (".xml", ".obj", ".gltf", ".glb", ".lumitree", ".ies", ".ldt", ".gldf", ".tm33", ".ray")
-_PLAIN = {"bool": bool, "int": int, "float": float, "str": str}
+_PLAIN = {"bool": bool, "int": int, "float": float}
 # How a value is written, after the help of the parameter of Python.
 _WRITTEN = {
     "parts": " Separated by commas, such as light,field; or all.",
@@ -43,12 +43,23 @@ OUTPUTS = ("output", "json", "layers", "aov", "luminance")
 
 @dataclasses.dataclass(frozen=True)
 class Option:
-    """An argument of a command: its type for cyclopts; `NEEDED` stands for no default."""
+    """An argument of a command: its type for cyclopts; `NEEDED` stands for no default.
+
+    A positional one may be several arguments, between which options may stand.
+    """
 
     type: Any
     help: str
     default: Any = None
     positional: bool = False
+    several: bool = False
+
+    @property
+    def _kind(self) -> Any:
+        kind = inspect.Parameter
+        if self.several:
+            return kind.VAR_POSITIONAL
+        return kind.POSITIONAL_ONLY if self.positional else kind.KEYWORD_ONLY
 
 
 def described(name: str) -> tuple[str, str]:
@@ -82,16 +93,16 @@ def with_signature(
     ordered = sorted(options.items(), key=lambda item: not item[1].positional)
 
     def call(*given: Any, **named: Any) -> Any:
+        if ordered and ordered[0][1].several:
+            return run({ordered[0][0]: given} | named)
         positional = {name: value for (name, _), value in zip(ordered, given, strict=False)}
         return run(positional | named)
 
     parameters = [
         inspect.Parameter(
             name,
-            inspect.Parameter.POSITIONAL_ONLY
-            if each.positional
-            else inspect.Parameter.KEYWORD_ONLY,
-            default=each.default,
+            each._kind,
+            default=NEEDED if each.several else each.default,
             annotation=Annotated[
                 Annotated[int, Parameter(converter=whole)] if each.type is int else each.type,
                 Parameter(help=each.help, show_default=each.default not in (None, ())),
@@ -171,6 +182,10 @@ def _option_type(name: str, annotation: ast.expr, module: str) -> Any:
     alias = "-o" if name == "output" else ()
     if name == "time":
         return Annotated[float | None, Parameter(converter=one(duration), metavar="T")]
+    if name == "grid":
+        return Annotated[tuple[int, ...] | None, Parameter(converter=one(grid), metavar="3x2")]
+    if name == "pitch":
+        return vector(2, 3)
     if name == "parts":
         return Annotated[tuple[str, ...] | None, Parameter(converter=one(parts), n_tokens=1)]
     if "LuminaireLike" in text or "Asset" in text:
@@ -186,7 +201,7 @@ def _option_type(name: str, annotation: ast.expr, module: str) -> Any:
         return Annotated[str, Parameter(converter=one(number), allow_leading_hyphen=True)]
     if (choices := _choices(annotation, module)) is not None:
         return Literal[choices]  # type: ignore[valid-type]
-    return _PLAIN.get(text.removesuffix(" | None"))
+    return TEXT if text.startswith("str") else _PLAIN.get(text.removesuffix(" | None"))
 
 
 def _choices(annotation: ast.expr, module: str) -> tuple[str, ...] | None:
@@ -237,9 +252,17 @@ def lamps(context: Any) -> list[str]:
     return names
 
 
+def value_of(option: str | None, text: str) -> str:
+    """The value of an option or of an argument; refuses an empty one, and another option."""
+    if not text or (option is not None and text.startswith("--")):
+        found = shown(repr(text), 60)
+        raise LumitreeError(f"{option or 'an argument'} needs a value; found {found}")
+    return text
+
+
 def one(read: Callable[[str], Any]) -> Callable[[Any, Sequence[Any]], Any]:
     """A converter for cyclopts of one text."""
-    return lambda _, tokens: read(tokens[0].value)
+    return lambda _, tokens: read(value_of(tokens[0].keyword, tokens[0].value))
 
 
 def whole(_: Any, tokens: Sequence[Any]) -> int:
@@ -255,12 +278,24 @@ def whole(_: Any, tokens: Sequence[Any]) -> int:
 
 def each_text(_: Any, tokens: Sequence[Any]) -> list[str]:
     """A converter for cyclopts of texts."""
-    return [token.value for token in tokens]
+    return [value_of(token.keyword, token.value) for token in tokens]
+
+
+TEXT = Annotated[str, Parameter(converter=one(str))]
+TEXTS = Annotated[list[str], Parameter(converter=each_text)]
 
 
 def parts(text: str) -> tuple[str, ...]:
     """Parts of an asset, separated by commas; "all" for all."""
     return ("light", "field", "geometry") if text == "all" else tuple(text.split(","))
+
+
+def grid(text: str) -> tuple[int, ...]:
+    """Whole numbers that are separated by "x"."""
+    counts = text.lower().split("x")
+    if not all(map(str.isdecimal, counts)):
+        raise LumitreeError(f"grid is {text!r}; expected whole numbers such as 3x2")
+    return tuple(map(int, counts))
 
 
 def duration(text: str) -> float:
@@ -306,7 +341,7 @@ def convert(name: str, option: Option, text: str) -> Any:
     """The value of an option of a group, which cyclopts does not parse."""
     for each in typing.get_args(option.type)[1:]:
         if each.converter is not None:
-            return each.converter(None, [SimpleNamespace(value=text)])
+            return each.converter(None, [SimpleNamespace(keyword=f"--{name}", value=text)])
     if "float" not in str(option.type):
         return text
     value = number(text)

@@ -18,20 +18,26 @@ from lumitree.core.results import Stopwatch
 from lumitree.core.seeds import check_seed
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.fit.bake_network import bake_network
-from lumitree.fit.config import BakeConfig, Method, Quality, chosen_config
+from lumitree.fit.config import (
+    KINDS,
+    ONLY_PARTS,
+    BakeConfig,
+    Method,
+    Quality,
+    chosen_config,
+    refuse_unused,
+)
 from lumitree.fit.finishing import finish_bake, open_work_folder, remove_state, save_asset
 from lumitree.fit.result import BakeResult
 from lumitree.lamp.dataset import Dataset
 from lumitree.lamp.diagnosis import warn_of_faults
-from lumitree.lamp.source import Kind, as_source, dataset_folder, refuse_options, source_kind
+from lumitree.lamp.source import as_source, dataset_folder, refuse_options, source_kind
 from lumitree.measure.irradiance import check_irradiance_paths
 from lumitree.rendering.asset_cache import open_asset
 
 if TYPE_CHECKING:
     from lumitree.fit.octree.bake import OctreeFitResult
     from lumitree.lamp.luminaire import LampWorkers, Luminaire, LuminaireLike
-
-_KINDS: dict[Kind, str] = {"photometric": "a photometric file", "dataset": "a dataset"}
 
 
 @in_turn
@@ -126,29 +132,22 @@ def bake(
         >>> result = lumitree.bake("lamp.glb", "lamp.lumitree", quality="high")
         >>> result.asset.info.leaves, result.irradiance
     """
-    fit: dict[str, Any] = {"time": time, "rays": rays}
-    light: dict[str, Any] = {"lumens": lumens, "temperature": temperature}
-    chosen: dict[str, Any] = {"quality": quality, "method": method}
-    config = chosen_config(config, **chosen, **fit, parts=parts, seed=seed, **light)
+    settings: dict[str, Any] = {"quality": quality, "method": method, "parts": parts, "seed": seed}
+    settings |= {"time": time, "rays": rays, "lumens": lumens, "temperature": temperature}
+    config = chosen_config(config, **settings)
     if output is not None:
         check_asset_output(output)
     check_executor(executor)
     kind = source_kind(source)
-    workers = {"executor": executor}
-    network = {"method": "network"} if config.method == "network" else {}
-    if kind == "photometric":
-        _check_parts(config, source, kind, "light")
-        _refuse(fit | workers | chosen | network | {"seed": seed, "work": work}, source, kind)
-    elif kind == "dataset":
-        _check_parts(config, source, kind, "field")
-        _refuse(workers | {"method": method} | network, source, kind)
-    elif config.method == "network":
-        _refuse_given(fit, "of the method octree; leave it out")
-    else:
-        if "field" not in (config.parts or ()):
-            _refuse_given(fit, "for the radiance field, which is not made; add the part field")
-        if "light" not in (config.parts or ("light",)):
-            _refuse_given(workers, "for the part light, which is not made; leave it out")
+    if kind in ONLY_PARTS and config.parts not in (None, (ONLY_PARTS[kind],)):
+        raise LumitreeError(
+            f"parts are {', '.join(config.parts or ())}, but {shown(source, 300)} is "
+            f"{KINDS[kind]}, from which only the part {ONLY_PARTS[kind]} can be made; leave the "
+            "others out"
+        )
+    settings |= {"executor": executor, "work": work}
+    given = [name for name, value in settings.items() if value is not None]
+    refuse_unused(["method", *given] if config.method == "network" else given, config, [source])
     load_rgb(variant)
     if kind == "photometric":
         with reporting(progress):
@@ -166,27 +165,6 @@ def bake(
             sent = lamp_workers(executor, source, lamp)
             warn_of_faults(lamp)
             return _bake_lamp(lamp, output, config, folder, work, sent)
-
-
-def _given(arguments: dict[str, Any]) -> str:
-    return ", ".join(name for name, value in arguments.items() if value is not None)
-
-
-def _refuse_given(arguments: dict[str, Any], reason: str) -> None:
-    if names := _given(arguments):
-        raise LumitreeError(f"{names}: {reason}")
-
-
-def _refuse(arguments: dict[str, Any], source: object, kind: Kind) -> None:
-    _refuse_given(arguments, f"not for {_KINDS[kind]} such as {shown(source, 300)}; leave it out")
-
-
-def _check_parts(config: BakeConfig, source: object, kind: Kind, part: Part) -> None:
-    if config.parts not in (None, (part,)):
-        raise LumitreeError(
-            f"parts are {', '.join(config.parts or ())}, but {shown(source, 300)} is "
-            f"{_KINDS[kind]}, from which only the part {part} can be made; leave the others out"
-        )
 
 
 def _bake_photometric(source: Any, output: FilePath | None, config: BakeConfig) -> BakeResult:

@@ -5,7 +5,8 @@ octree fit and of the network as groups. It is checked when it is made, and pass
 """
 
 import dataclasses
-from collections.abc import Collection
+import warnings
+from collections.abc import Collection, Sequence
 from typing import Any, Literal, get_args
 
 from lumitree.asset.asset import PARTS, Part
@@ -18,10 +19,11 @@ from lumitree.core.arguments import (
     check_light,
 )
 from lumitree.core.seeds import check_seed
-from lumitree.errors import LumitreeError, shown
+from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.fit.network.config import TrainConfig
 from lumitree.fit.octree.config import EstimateConfig, OctreeConfig, RefineConfig
 from lumitree.lamp.dataset import MAX_VIEWS
+from lumitree.lamp.source import RAY_SUFFIXES, Kind, photometric_suffix, source_kind
 from lumitree.measure.irradiance import check_irradiance_paths
 from lumitree.octree.build import check_tree_depth
 from lumitree.trace.light_field_config import LightFieldConfig
@@ -31,6 +33,19 @@ Method = Literal["octree", "network"]
 _QUALITIES: dict[Method, tuple[Quality, ...]] = {
     "octree": ("preview", "standard", "high"),
     "network": ("preview", "paper"),
+}
+# Sources that are no luminaires: what they are called, and the only part that can be made of them.
+KINDS: dict[Kind, str] = {"photometric": "a photometric file", "dataset": "a dataset"}
+ONLY_PARTS: dict[Kind, Part] = {"photometric": "light", "dataset": "field"}
+_FIT = ("octree", "time", "rays")
+_WORKERS = ("executor", "workers", "scheduler")
+# Settings that they do not use: arguments and options of `bake`, and keys of files of settings.
+_UNUSED: dict[Kind, tuple[str, ...]] = {
+    "photometric": (
+        *("quality", "method", "light", "network", "irradiance_paths", "seed", "work"),
+        *(*_FIT, *_WORKERS),
+    ),
+    "dataset": ("method", "light", "network", "irradiance_paths", "octree.estimate", *_WORKERS),
 }
 
 
@@ -232,3 +247,52 @@ def chosen_config(
         octree = dataclasses.replace(octree, time=time, rays=octree.rays if rays is None else rays)
     given = {name: value for name, value in settings.items() if value is not None}
     return dataclasses.replace(config, octree=octree, **given)
+
+
+def refuse_unused(names: Collection[str], config: BakeConfig, sources: Sequence[object]) -> None:
+    """Refuse settings that no source uses; warn of settings that only some sources use.
+
+    Args:
+        names: the settings that are given: arguments and options of `bake`, and keys of a file of
+            settings, with the keys of its tables after a dot.
+        config: all settings.
+        sources: what is baked, each in any form that `bake` takes.
+
+    Raises:
+        LumitreeError: there are such settings; it states why they are not used.
+    """
+    unused = [_unused(config, source) for source in sources]
+    refused: dict[str, list[str]] = {}
+    for name in dict.fromkeys(names):
+        without = [source for source, each in zip(sources, unused, strict=True) if name in each]
+        if without and len(without) == len(sources):
+            refused.setdefault(unused[0][name], []).append(name)
+        elif without:
+            more = f" and {len(without) - 1} more" if len(without) > 1 else ""
+            message = f"{name}: not used for {shown(without[0], 200)}{more}"
+            warnings.warn(message, LumitreeWarning, stacklevel=3)
+    if refused:
+        reason, found = next(iter(refused.items()))
+        raise LumitreeError(f"{', '.join(found)}: {reason}")
+
+
+def _unused(config: BakeConfig, source: object) -> dict[str, str]:
+    """The settings that the bake of a source does not use, and why."""
+    if (kind := source_kind(source)) in _UNUSED:
+        reason = f"not for {KINDS[kind]} such as {shown(source, 300)}; leave it out"
+        unused = dict.fromkeys(_UNUSED[kind], reason)
+        if kind == "photometric" and photometric_suffix(str(source)) in RAY_SUFFIXES:
+            del unused["light"]
+        return unused
+    unused = {"octree.views": "only for a dataset; leave it out"}
+    if config.method == "network":
+        unused |= dict.fromkeys(_FIT, "of the method octree; leave it out")
+    else:
+        unused["network"] = "for the method network; add the method, or leave it out"
+        if "field" not in (config.parts or ()):
+            reason = "for the radiance field, which is not made; add the part field"
+            unused |= dict.fromkeys(_FIT, reason)
+    if "light" not in (config.parts or ("light",)):
+        names = ("light",) if config.method == "network" else ("light", *_WORKERS)
+        unused |= dict.fromkeys(names, "for the part light, which is not made; leave it out")
+    return unused

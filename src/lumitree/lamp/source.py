@@ -87,6 +87,8 @@ def source_kind(source: object) -> Kind:
     name = source.name if isinstance(source, LuminaireSource) else source
     if not isinstance(name, str | os.PathLike):
         return "luminaire"
+    if not str(name):
+        raise LumitreeError("a source is ''; expected a built-in name or the path of a file")
     suffix = Path(name).suffix.lower()
     if suffix == ASSET_SUFFIX:
         return "asset"

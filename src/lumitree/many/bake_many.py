@@ -6,11 +6,12 @@ import functools
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
+from lumitree.asset.asset import Part
 from lumitree.asset.file import fingerprint_of, load, save
 from lumitree.core.arguments import check_asset_output, check_count
 from lumitree.core.backend import in_turn, load_rgb
@@ -23,7 +24,14 @@ from lumitree.core.progress import progress as progress_of
 from lumitree.core.results import Stopwatch
 from lumitree.errors import LumitreeError, shown
 from lumitree.fit.bake import bake
-from lumitree.fit.config import BakeConfig, chosen_config
+from lumitree.fit.config import (
+    ONLY_PARTS,
+    BakeConfig,
+    Method,
+    Quality,
+    chosen_config,
+    refuse_unused,
+)
 from lumitree.fit.finishing import work_folder_of
 from lumitree.formats.photometric_file import read_again
 from lumitree.lamp.builtin import BUILTIN
@@ -49,6 +57,14 @@ def bake_many(
     folder: FilePath,
     config: BakeConfig | None = None,
     *,
+    quality: Quality | None = None,
+    method: Method | None = None,
+    parts: Collection[Part] | None = None,
+    time: float | None = None,
+    rays: int | None = None,
+    lumens: float | None = None,
+    temperature: float | None = None,
+    seed: int | None = None,
     executor: Executor | None = None,
     task: tuple[int, int] | None = None,
     variant: str | None = None,
@@ -67,8 +83,12 @@ def bake_many(
     Args:
         luminaires: names, files and `LuminaireSource`, as for `bake`.
         folder: folder of the assets. It is made if it is missing.
-        config: settings of the bakes of all lamps. Default: `BakeConfig.of()`. Photometric files
-            get the part "light" only, whatever the parts are.
+        config: settings of the bakes of all lamps. Default: the settings of `quality`. A
+            photometric file gets the part "light" only, and a dataset the part "field" only, if
+            the parts have it.
+        quality, parts, time, rays, lumens, temperature, seed: for all lamps, as for `bake`. A
+            setting that some lamps do not use is a warning.
+        method: only "octree".
         executor: runs the bakes, a task for each lamp: any `concurrent.futures.Executor`, such as
             the one of `process_pool` or of a Dask client. Its workers need the same files under the
             same paths. Default: this process bakes one lamp after another.
@@ -83,8 +103,8 @@ def bake_many(
 
     Raises:
         LumitreeError: there is no luminaire, two have one name, or files are missing, all of which
-            the message names; the folder cannot be written, or holds an `index.html` that is not
-            lumitree's; the disk is full; or a worker was lost.
+            the message names; no lamp uses a setting that is given; the folder cannot be written,
+            or holds an `index.html` that is not lumitree's; the disk is full; or a worker was lost.
 
     Example:
         >>> result = lumitree.bake_many(["bulbs", "lamp.glb"], "lamps")
@@ -101,9 +121,13 @@ def bake_many(
     if task is not None:
         number, count = _part(task)
         named = dict(list(named.items())[number - 1 :: count])
-    config = chosen_config(config)
+    settings: dict[str, Any] = {"quality": quality, "method": method, "parts": parts, "seed": seed}
+    settings |= {"time": time, "rays": rays, "lumens": lumens, "temperature": temperature}
+    config = chosen_config(config, **settings)
     if config.method == "network":
         raise LumitreeError("method network: for one luminaire at a time; bake each by itself")
+    given = [name for name, value in settings.items() if value is not None]
+    refuse_unused(given, config, list(named.values()))
     jobs = [_Job(root, name, each, config, variant) for name, each in named.items()]
     lamps = [BakedLamp(name, each.name, "waiting") for name, each in named.items()]
     stopped_by: int | None = None
@@ -243,8 +267,7 @@ def _kept_or_baked(
     # Not `with_suffix`: a name may contain dots.
     path = job.folder / f"{job.name}.lumitree"
     config = job.config
-    if source_kind(job.source) == "photometric" and "light" in (config.parts or ()):
-        # The only part that it can have.
+    if ONLY_PARTS.get(source_kind(job.source)) in (config.parts or ()):
         config = dataclasses.replace(config, parts=None)
     fingerprint, luminaire = _loaded(job.source, config)
     try:

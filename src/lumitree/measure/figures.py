@@ -13,8 +13,10 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib.colors import LogNorm, Normalize
+from matplotlib import colormaps
+from matplotlib.colors import LogNorm, Normalize, to_rgba
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
@@ -22,6 +24,7 @@ from lumitree.core.files import write_bytes
 from lumitree.core.images import auto_exposure, tonemap
 from lumitree.errors import shown
 from lumitree.formats.type_c import Grid
+from lumitree.measure.floor_plan import FloorPlan
 from lumitree.measure.irradiance import FACES, NUM_CUBE_FACES, IrradianceEvaluation
 from lumitree.measure.photometric_figures import (
     BEAM,
@@ -62,8 +65,11 @@ _WIDTH, _DPI = 7.0, 130  # inches and dots per inch of a PNG file of plans
 _PLAN_NOTE = (
     "Illuminance in lux, with all reflections unless it says direct. U0 is the smallest over the "
     "mean, Ud the smallest over the largest illuminance of the points. Seen with the normal "
-    "towards the viewer."
+    "towards the viewer; coordinates of the scene. Lines: surfaces that cross the plane, and steps "
+    "of the surfaces below it."
 )
+_SECTION, _EDGES, _LAMPS, _ENCLOSED = "#1c1917", "#44403c", "#f97316", "#a8a29e"
+_LUX = colormaps["viridis"].with_extremes(bad=_ENCLOSED)
 _COLOURS = {"C0-C180": "#1f4e9c", "C90-C270": "#c2410c"}
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem;
@@ -88,9 +94,9 @@ _FAR_NOTE = (
     "photometric file is wrong by more; use the asset instead."
 )
 _COLOUR_NOTE = (
-    "Colour rendering is computed from the spectrum of the bare emitters. Glass, shades and a gain "
-    "shift the colour by the distance that is stated; above about 0.003 the light that leaves "
-    "renders colours differently."
+    "Colour rendering is computed from the spectrum of the bare emitters. Glass, shades and "
+    "factors on the light shift the colour by the distance that is stated; above about 0.003 the "
+    "light that leaves renders colours differently."
 )
 _UGR_TITLE = "UGR: five columns crosswise, five endwise"
 _UGR_NOTE = (
@@ -228,6 +234,7 @@ class Plan:
         area: its figures.
         receivers: its points.
         lux, error, direct: [N] illuminance, its standard error, and its direct part, lx.
+        floor: the room at a plane; None for other areas.
     """
 
     area: AreaFigures
@@ -235,13 +242,14 @@ class Plan:
     lux: NDArray[np.float64]
     error: NDArray[np.float64]
     direct: NDArray[np.float64]
+    floor: FloorPlan | None
 
     @property
     def height(self) -> float:
         """Inches in a PNG file."""
-        plane = self.receivers.plane
-        sides = np.ptp(self.receivers.flat(), axis=0) if plane is None else plane.extent
-        return float(np.clip(_WIDTH * 0.8 * sides[1] / max(sides[0], 1e-9), 1.5, 9)) + 0.9
+        flat, floor = self.receivers.flat(), self.floor
+        sides = np.ptp(flat, axis=0) if floor is None else floor.high - floor.low
+        return float(np.clip(_WIDTH * 0.8 * sides[1] / max(sides[0], 1e-9), 1.5, 9)) + 1.1
 
 
 def plan_png(plans: Sequence[Plan], direct_only: bool) -> bytes:
@@ -268,26 +276,33 @@ def plan_pdf(plans: Sequence[Plan], direct_only: bool) -> bytes:
 def _draw_plan(figure: Figure, axes: Any, plan: Plan, direct_only: bool) -> None:
     place, area, plane = plan.receivers.flat(), plan.area, plan.receivers.plane
     kind = "direct illuminance" if direct_only else "illuminance"
-    axes.set_title(f"{shown(area.name, 60)}: {kind}, lx", fontsize=10, parse_math=False)
+    figures = f"mean {area.mean:.4g} lx, U0 {area.uniformity:.2f}"
+    title = f"{shown(area.name, 60)}: {kind}, {figures}"
+    axes.set_title(title, fontsize=10, pad=18, parse_math=False)
     axes.set_aspect("equal")
-    right, up = (_axis_name(axis) for axis in plan.receivers.axes)
-    axes.set(xlabel=f"from the centre along {right}", ylabel=f"from the centre along {up}")
-    axes.set_facecolor("#a8a29e")
+    for axis, along in zip((axes.xaxis, axes.yaxis), plan.receivers.axes, strict=True):
+        name, sign = _axis_name(along)
+        axis.set_label_text(name)
+        axis.set_major_formatter(lambda value, _, sign=sign: f"{sign * value + 0.0:g}")
     levels = MaxNLocator(10).tick_values(0, area.largest if area.largest > 0 else 1.0)
     limits = {"vmin": 0, "vmax": levels[-1]}
     if plane is None:
         colours = axes.scatter(*place.T, c=plan.lux, s=12, **limits)
     else:
-        half, grid = np.asarray(plane.extent) / 2, plan.lux.reshape(plane.shape)
-        sides = (-half[0], half[0], -half[1], half[1])
+        centre = plan.receivers.axes @ plane.centre
+        half, grid = np.array(plane.extent) / 2, plan.lux.reshape(plane.shape)
+        sides = np.column_stack([centre - half, centre + half]).ravel()
         # Interpolation would spread values that are missing.
         smooth = "nearest" if np.isnan(grid).any() else "bilinear"
-        colours = axes.imshow(grid, origin="lower", extent=sides, interpolation=smooth, **limits)
+        style = {"cmap": _LUX, "origin": "lower", "interpolation": smooth}
+        colours = axes.imshow(grid, extent=sides, **style, **limits)
         if min(plane.shape) > 1 and area.largest > area.smallest:
             u, v = place.reshape(*plane.shape, 2).transpose(2, 0, 1)
             lines = axes.contour(u, v, grid, levels=levels, colors="white", linewidths=1.0)
             if area.count > _MAX_VALUES:
                 axes.clabel(lines, fontsize=7, fmt="%g")
+    if plan.floor is not None:
+        _draw_floor(axes, plan.floor, area.enclosed > 0)
     if area.count <= _MAX_VALUES:
         size = float(np.clip(90 / np.sqrt(area.count), 3.5, 7))
         style = {"fontsize": size, "ha": "center", "va": "center"}
@@ -299,12 +314,34 @@ def _draw_plan(figure: Figure, axes: Any, plan: Plan, direct_only: bool) -> None
     figure.colorbar(colours, ax=axes, shrink=0.8, label="lx")
 
 
-def _axis_name(axis: NDArray[np.float64]) -> str:
-    """A direction [3] of the scene: an axis, or three numbers."""
+def _draw_floor(axes: Any, floor: FloorPlan, has_enclosed: bool) -> None:
+    """Walls, furniture and lamps over a plan, and the legend."""
+    sides = np.column_stack([floor.low, floor.high]).ravel()
+    for mask, colour in ((floor.edges & ~floor.section, _EDGES), (floor.section, _SECTION)):
+        image = np.zeros((*mask.shape, 4))
+        image[mask] = to_rgba(colour)
+        axes.imshow(image, origin="lower", extent=sides, interpolation="antialiased")
+    for outline in floor.lamps:
+        axes.fill(*outline.T, fill=False, edgecolor=_LAMPS, lw=1.4)
+        axes.plot(*(outline.min(axis=0) + outline.max(axis=0)) / 2, "+", color=_LAMPS, ms=5)
+    axes.set(xlim=sides[:2], ylim=sides[2:])
+    entries = [
+        (_SECTION, "section of the room", floor.section.any()),
+        (_EDGES, "edges below the plane", floor.edges.any()),
+        (_LAMPS, "lamp", bool(floor.lamps)),
+        (_ENCLOSED, "inside a solid, not counted", has_enclosed),
+    ]
+    patches = [Patch(color=colour, label=label) for colour, label, is_there in entries if is_there]
+    style = {"fontsize": 7, "frameon": False, "handlelength": 1}
+    axes.legend(handles=patches, ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0), **style)
+
+
+def _axis_name(axis: NDArray[np.float64]) -> tuple[str, int]:
+    """A direction [3] of the scene, an axis or three numbers; and the sign of the axis."""
     along = int(np.abs(axis).argmax())
     if abs(axis[along]) > 1 - 1e-6:
-        return ("-" if axis[along] < 0 else "") + "xyz"[along]
-    return "({:.2g}, {:.2g}, {:.2g})".format(*axis)
+        return "xyz"[along], int(np.sign(axis[along]))
+    return "along ({:.2g}, {:.2g}, {:.2g})".format(*axis), 1
 
 
 def _plan_rows(plan: Plan) -> list[tuple[str, str]]:
@@ -334,36 +371,37 @@ def plots_png(data: PhotometricData) -> bytes:
 
 
 def write_pdf(path: str | os.PathLike[str], data: PhotometricData) -> None:
-    """Write the report as a PDF file of two A4 pages: figures, and near field and glare."""
-    title = f"Photometric report: {shown(data.distribution.name)}"
-    tables: list[list[tuple[str, ...]]] = [[NEAR_FIELD_HEADER, *near_field_rows(data.near_field)]]
-    notes, heading = [_FAR_NOTE], "Far field"
-    if data.ugr is not None:
-        tables.append([UGR_HEADER, *ugr_rows(data.ugr)])
-        notes, heading = [_FAR_NOTE, f"{_UGR_TITLE}. {_UGR_NOTE}"], "Far field and glare"
-    page = text_page(title, 0.62, [_figure_rows(data)], _notes(data))
+    """Write the report as a PDF file of A4 pages: figures, and near field and glare if known."""
+    name = shown(data.distribution.name)
+    page = text_page(f"Photometric report: {name}", 0.62, [_figure_rows(data)], _notes(data))
     _polar(page.add_axes((0.05, 0.69, 0.26, 0.2), projection="polar"), data)
     _cone(page.add_axes((0.4, 0.69, 0.18, 0.2)), data.step, data.distribution.intensity)
     _isocandela(page, page.add_axes((0.78, 0.69, 0.18, 0.2)), data)
-    write_bytes(
-        path,
-        pdf_file(
-            [page, text_page(f"{heading}: {shown(data.distribution.name)}", 0.92, tables, notes)]
-        ),
-    )
+    tables: dict[str, tuple[list[tuple[str, ...]], str]] = {}
+    if data.near_field:
+        tables["far field"] = [NEAR_FIELD_HEADER, *near_field_rows(data.near_field)], _FAR_NOTE
+    if data.ugr is not None:
+        tables["glare"] = [UGR_HEADER, *ugr_rows(data.ugr)], f"{_UGR_TITLE}. {_UGR_NOTE}"
+    pages = [page]
+    if tables:
+        heading = f"{' and '.join(tables).capitalize()}: {name}"
+        rows, notes = zip(*tables.values(), strict=True)
+        pages.append(text_page(heading, 0.92, rows, notes))
+    write_bytes(path, pdf_file(pages))
 
 
 def write_html(path: str | os.PathLike[str], data: PhotometricData) -> None:
     """Write the report as an HTML file that loads nothing."""
     name = html.escape(shown(data.distribution.name))
     image = base64.b64encode(plots_png(data)).decode()
-    notes = "\n".join(
-        f'<p class="note">{html.escape(note)}</p>' for note in (*_notes(data), _FAR_NOTE)
-    )
-    ugr = ""
+    notes, far_field, ugr = _notes(data), "", ""
+    if data.near_field:
+        table = _html_table(near_field_rows(data.near_field), NEAR_FIELD_HEADER)
+        far_field, notes = f"<h2>Far field</h2>\n{table}", (*notes, _FAR_NOTE)
     if data.ugr is not None:
         table = _html_table(ugr_rows(data.ugr), UGR_HEADER)
         ugr = f'<h2>{_UGR_TITLE}</h2>\n{table}\n<p class="note">{html.escape(_UGR_NOTE)}</p>'
+    paragraphs = "\n".join(f'<p class="note">{html.escape(note)}</p>' for note in notes)
     text = f"""<!doctype html>
 <html lang="en">
 <meta charset="utf-8">
@@ -374,10 +412,9 @@ def write_html(path: str | os.PathLike[str], data: PhotometricData) -> None:
 <img alt="polar plot, cone diagram and isocandela plot" src="data:image/png;base64,{image}">
 <h2>Figures</h2>
 {_html_table(_figure_rows(data))}
-<h2>Far field</h2>
-{_html_table(near_field_rows(data.near_field), NEAR_FIELD_HEADER)}
+{far_field}
 {ugr}
-{notes}
+{paragraphs}
 </html>
 """
     write_bytes(path, text.encode())

@@ -31,6 +31,7 @@ from lumitree.rendering.placement import Placement
 
 if TYPE_CHECKING:
     from lumitree.measure.figures import Plan
+    from lumitree.measure.floor_plan import FloorPlan
     from lumitree.rendering.integrator import PathScene
     from lumitree.rendering.scene import PlacedLuminaire
 
@@ -66,6 +67,7 @@ class IlluminanceResult(Result):
     total_error: NDArray[np.float64] = dataclasses.field(repr=False)
     samples: NDArray[np.int64] = dataclasses.field(repr=False)
     receivers: list[Receivers] = dataclasses.field(repr=False)
+    floors: "list[FloorPlan | None]" = dataclasses.field(repr=False)
 
     @explained
     def save(self, path: FilePath) -> None:
@@ -121,8 +123,8 @@ class IlluminanceResult(Result):
 
         arrays = (self.total, self.total_error, self.direct)
         return [
-            Plan(area, receivers, *(each[area.part] for each in arrays))
-            for area, receivers in zip(self.areas, self.receivers, strict=True)
+            Plan(area, receivers, *(each[area.part] for each in arrays), floor=floor)
+            for area, receivers, floor in zip(self.areas, self.receivers, self.floors, strict=True)
         ]
 
 
@@ -188,12 +190,14 @@ def illuminance(
         ("surfaces", surfaces, Surface),
     ):
         check_items(name, values, kind)
+    placements = [lamp for placement in placements for lamp in placement.each()]
     check_range("error", error, 1e-4, 1)
     if time is not None:
         check_range("time", time, 1e-3, 1e7)
     check_seed(seed)
     metres = metres_of(unit)
     load_rgb(variant)
+    from lumitree.measure.floor_plan import floor_plan
     from lumitree.measure.illuminance_estimate import estimate
     from lumitree.rendering.scene import (
         load_without_camera,
@@ -216,6 +220,7 @@ def illuminance(
             normal = np.concatenate([area.normals for area in areas])
             _light_boxes(whole, position)
             paths = _paths(whole, title)
+            floors = [area.plane and floor_plan(area.plane, room, placed) for area in areas]
         with watch.stage("estimate"):
             found = estimate(
                 paths,
@@ -244,6 +249,7 @@ def illuminance(
         position=position,
         normal=normal / np.linalg.norm(normal, axis=1)[:, None],
         receivers=areas,
+        floors=floors,
         **{field.name: getattr(found, field.name) for field in dataclasses.fields(found)},
         **watch.costs(),
     )

@@ -184,9 +184,8 @@ class Receivers:
         return (_axes(self.normals.mean(axis=0)) if self.plane is None else self.plane.axes)[:2]
 
     def flat(self) -> NDArray[np.float64]:
-        """Coordinates [N, 2] along u and v, from the centre of the plane or from the mean point."""
-        centre = self.points.mean(axis=0) if self.plane is None else np.asarray(self.plane.centre)
-        return (self.points - centre) @ self.axes.T
+        """Coordinates [N, 2] along u and v, from the origin of the scene."""
+        return self.points @ self.axes.T
 
 
 @dataclasses.dataclass(frozen=True)

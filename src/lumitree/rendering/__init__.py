@@ -14,6 +14,6 @@ The light of a lamp is sampled from cells of its light field (`device_light`, `l
 `light_levels`), or from its emitters (`straight_light`); `field_rays` samples a radiance field.
 
 Points are taken relative to the lamp's centre before they are rotated and scaled, so a lamp far
-from the origin loses no precision. The factors of an asset and the gain of an instance multiply all
+from the origin loses no precision. The factors of an asset and of an instance multiply all
 radiance and flux; sampling does not depend on them.
 """

@@ -37,7 +37,7 @@ class AssetRays:
 
 
 def light_field_watts(field: LightField) -> NDArray[np.float64]:
-    """Flux [3] of a light field: R, G and B, local units, without the asset's gain."""
+    """Flux [3] of a light field: R, G and B, local units, without `Asset.light_factors`."""
     colours = unpack(field.intensity)
     # Exact sums over the bins that emit, channel by channel, which bounds memory.
     by_bin = [field.dense(colours[:, channel]).sum(axis=0) for channel in range(3)]
@@ -47,8 +47,8 @@ def light_field_watts(field: LightField) -> NDArray[np.float64]:
 def intensity_by_bin(asset: Asset) -> NDArray[np.float64]:
     """Luminous intensity [R²] of an asset's light field by bin of direction, local units.
 
-    It is the sum over all cells, and its gain is included. Between the middles of bins it is linear
-    (`core.octahedral.interpolated`).
+    It is the sum over all cells, with `Asset.light_factors`. Between the middles of bins it is
+    linear (`core.octahedral.interpolated`).
     """
     field = asset.light_field
     assert field is not None
@@ -79,8 +79,9 @@ def axis_intensities(asset: Asset, axes: NDArray[np.float64]) -> NDArray[np.floa
 def asset_watts(asset: Asset) -> NDArray[np.float64]:
     """Flux [3] that an asset emits, W: R, G and B, if lengths of its file are in metres.
 
-    Its gain is included. The flux of the light field, which illuminates scenes, is exact. Without a
-    light field it is estimated from 2²⁰ rays of the field, always with the same random numbers.
+    `Asset.light_factors` are included. The flux of the light field, which illuminates scenes, is
+    exact. Without a light field it is estimated from 2²⁰ rays of the field, always with the same
+    random numbers.
     """
     if asset.light_field is not None:
         return light_field_watts(asset.light_field) * asset.light_factors * asset.frame.scale**2
@@ -94,23 +95,23 @@ def asset_lumens(asset: Asset) -> float:
 
 
 def with_light(asset: Asset, lumens: float | None, temperature: float | None) -> Asset:
-    """The asset with the gain that gives it a luminous flux and a colour temperature (`gain_to`).
+    """The asset with the factors that give it a luminous flux and a colour temperature.
 
     Args:
         lumens: luminous flux, lm, if lengths of its file are in metres; None to keep it.
         temperature: colour temperature of the whole flux, K; None to keep the colour.
 
     Raises:
-        LumitreeError: as for `gain_to`, or the gain is out of range.
+        LumitreeError: as for `factors_to`, or a factor is out of range.
     """
     if lumens is None and temperature is None:
         return asset
-    factors = gain_to(asset_watts(asset), lumens, temperature, asset.luminaire)
+    factors = factors_to(asset_watts(asset), lumens, temperature, asset.luminaire)
     red, green, blue = (factors * asset.light_factors).tolist()
     return dataclasses.replace(asset, light_factors=(red, green, blue))
 
 
-def gain_to(
+def factors_to(
     watts: NDArray[np.float64], lumens: float | None, temperature: float | None, name: str
 ) -> NDArray[np.float64]:
     """Factors [3] on R, G and B that give a lamp a luminous flux and a colour temperature.
@@ -130,8 +131,8 @@ def gain_to(
     """
     total = float(luminance(watts))
     if not total > 0:
-        raise LumitreeError(f"{shown(name, 200)} emits no light, which no gain can change")
-    gain = np.ones(3)
+        raise LumitreeError(f"{shown(name, 200)} emits no light, which no factor can change")
+    factors = np.ones(3)
     if temperature is not None:
         wanted = np.array(blackbody_colour(temperature)) * total / LUMENS_PER_WATT
         for channel, have, want in zip(("red", "green", "blue"), watts, wanted, strict=True):
@@ -140,5 +141,5 @@ def gain_to(
                     f"{shown(name, 200)} emits no {channel} light, which {temperature:g} K has; "
                     "leave out the temperature"
                 )
-        gain = np.divide(wanted, watts, out=np.zeros(3), where=watts > 0)
-    return gain if lumens is None else gain * (lumens / total)
+        factors = np.divide(wanted, watts, out=np.zeros(3), where=watts > 0)
+    return factors if lumens is None else factors * (lumens / total)

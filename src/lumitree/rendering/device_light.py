@@ -88,10 +88,10 @@ from lumitree.rendering.sampling import (
     INSIDE,
     OUTSIDE,
     UNIFORM_FRACTION,
+    Reservoir,
     Target,
     cone_pdf,
     divide_sample,
-    resample,
     sample_cone,
     sample_row,
     scrambled,
@@ -213,46 +213,31 @@ class CellLight:
     ) -> tuple[mi.Vector3f, Target]:
         """Direction towards a point of a cell of the receiver's level, and the point.
 
-        Resampled importance sampling (Talbot et al. 2005): candidates come from the table, and one
-        is chosen in proportion to its `contribution` with a b of 1 / πR, about the b of a diffuse
-        surface; R is the radius of the lamp's bounding sphere. It counts for all, by their mean.
+        Resampled importance sampling: the weight of a candidate is its `contribution` with a b of
+        1 / πR, about the b of a diffuse surface; R is the radius of the lamp's bounding sphere.
         """
         # Bits of the sample that the candidates do not depend on.
         random = scrambled(mi.Point2f(sample.y, sample.x))
-        row = self.row(x, random.y)
-        count, step = row.candidates, dr.rcp(mi.Float(row.candidates))
-        candidate, place, choice = mi.UInt32(0), mi.Float(sample.x), random.x
-        total, chosen = mi.Float(0), mi.Float(0)
-        offset, target = mi.Vector3f(0, 0, 1), Target.at(mi.Float(1))
-        found, found_pmf, found_bins = mi.UInt32(0), mi.Float(0), mi.UInt32(0)
-        while dr.hint(active & (candidate < count), mode="symbolic"):
-            cell, pmf = self.table.sample(row.number, place, active, row.level)
+        row, candidate, target = self.row(x, random.y), mi.UInt32(0), Target.at(mi.Float(1))
+        kept = mi.Vector3f(0, 0, 1), target.cell, target.pmf, target.bins
+        reservoir = Reservoir.start(sample.x, row.candidates, random.x, kept)
+        while dr.hint(active & (candidate < row.candidates), mode="symbolic"):
+            cell, pmf = self.table.sample(row.number, reservoir.place, active, row.level)
             cell += row.first
-            within = scrambled(mi.Point2f(place, sample.y))
+            within = scrambled(mi.Point2f(reservoir.place, sample.y))
             point, volume = self.cells.point(cell, within, active)
-            here = mi.Vector3f(point - x)
-            bins = smooth_bin(-here, self._resolution)
-            squared = dr.squared_norm(here)
+            offset = mi.Vector3f(point - x)
+            bins = smooth_bin(-offset, self._resolution)
+            squared = dr.squared_norm(offset)
             light = dr.sum(self.light(cell, bins, dr.sqrt(squared), mi.Bool(active)))
             light /= pmf * squared + volume * self._diffuse
-            total += light
-            taken, choice = resample(choice, light, total)
-            # The first one stays where no candidate sends light.
-            taken |= candidate == 0
-            chosen = dr.select(taken, light, chosen)
-            offset = dr.select(taken, here, offset)
-            found = dr.select(taken, cell, found)
-            found_pmf = dr.select(taken, pmf, found_pmf)
-            found_bins = dr.select(taken, bins, found_bins)
+            reservoir.add(light, (offset, cell, pmf, bins))
             candidate += 1
-            place += step
-            place = dr.select(place < 1, place, place - 1)
-        target.cell, target.pmf, target.bins = found, found_pmf, found_bins
+        direction, target.cell, target.pmf, target.bins = reservoir.kept
         target.place = mi.UInt32(self.place)
-        total *= step
-        target.factor = dr.select(chosen > 0, total / chosen, 0)
-        target.distance, target.total = dr.norm(offset), total
-        return offset / target.distance, target
+        target.factor, target.total = reservoir.factor, reservoir.mean
+        target.distance = dr.norm(direction)
+        return direction / target.distance, target
 
     def contribution(
         self, target: Target, other: mi.Float, active: mi.Bool | bool = True
@@ -490,11 +475,11 @@ class DeviceLight(CellLight):
             far = near + length
             per_volume = length * dr.rcp(dr.gather(mi.Float, self.cells.volume, cell, active))
             third = self.table.probability(row, cell, active) * per_volume / 3
-            part = third * (near * near + near * far + far * far)
+            added = third * (near * near + near * far + far * far)
             light = self.intensity(cell, bins, active) * per_volume
             return (
                 radiance + dr.select(active, light, 0),
-                density + dr.select(active, part, 0),
+                density + dr.select(active, added, 0),
             ), active
 
         state = (mi.Color3f(0), mi.Float(0))
@@ -715,12 +700,12 @@ def bins_around(direction: mi.Vector3f, resolution: int) -> list[tuple[mi.UInt32
     The weights are the probabilities with which `smooth_bin` returns the bins.
     """
     place = (octahedral(direction, resolution) + 1) * (resolution / 2) - 0.5
-    part = place - dr.floor(place)
+    fraction = place - dr.floor(place)
     found = []
     for x in (0, 1):
         for y in (0, 1):
-            weight = (part.x if x else 1 - part.x) * (part.y if y else 1 - part.y)
-            found.append((bin_of(direction, resolution, mi.Vector2f(x, y) - part), weight))
+            weight = (fraction.x if x else 1 - fraction.x) * (fraction.y if y else 1 - fraction.y)
+            found.append((bin_of(direction, resolution, mi.Vector2f(x, y) - fraction), weight))
     return found
 
 

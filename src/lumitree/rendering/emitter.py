@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import copy
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
 from lumitree.core.arguments import check_choice, check_gain
-from lumitree.core.device import parameter
+from lumitree.core.device import on_device, parameter
 from lumitree.core.frames import similarity_scale
 from lumitree.core.photometry import LUMENS_PER_WATT, luminance
 from lumitree.errors import LumitreeError
@@ -51,6 +51,10 @@ _TOUCH = 1e-3
 # next-event estimation alone finds the light. The sphere is enlarged by the second number, and
 # within it this is never so: there the distance to a sampled point may be small.
 _CUTOFF, _CUTOFF_RADIUS = 0.5, 1.25
+# Packets of four numbers of a lamp's pose (`PlacedAsset.numbers`).
+_PACKETS_OF_POSE = 4
+# Arrays that one kernel joins: with 1,000, LLVM compiles it for more than ten minutes.
+_JOINED = 16
 _OPTIONS = ("gain", "sampling", "appearance", "to_world")
 
 
@@ -243,13 +247,6 @@ class PlacedLamp(PlacedAsset):
         super().__init__(props)
         self.gain = mi.Color3f(*check_gain(props.get("gain", 1.0)))
         self._accept_gain()
-
-    def moved(self, numbers: Sequence[mi.Float], gain: mi.Color3f) -> PlacedLamp:
-        """The same lamp with other `numbers` and another gain, one for each ray."""
-        other = copy.copy(self)
-        other._move(numbers)
-        other.gain = gain
-        return other
 
     def make_tables(self) -> None:
         """Make the tables that the methods need."""
@@ -658,6 +655,47 @@ def lamps_of(emitters: Sequence[mi.Emitter]) -> dict[int, PlacedLamp]:
     """The baked luminaires among some emitters, by index."""
     lamps = {index: lamp_of(emitter) for index, emitter in enumerate(emitters)}
     return {index: lamp for index, lamp in lamps.items() if lamp is not None}
+
+
+class Instances:
+    """Poses and gains of lamps on the device.
+
+    Args:
+        lamps: by the number of their emitters among all emitters of the process.
+    """
+
+    def __init__(self, lamps: Mapping[int, PlacedLamp]) -> None:
+        rows = np.zeros((max(lamps) + 1, 4 * _PACKETS_OF_POSE))
+        place_of = np.zeros(len(rows), np.uint32)
+        for place, (number, lamp) in enumerate(lamps.items()):
+            rows[number, : len(lamp.numbers)], place_of[number] = lamp.numbers, place
+        self._rows, self._place_of = on_device(mi.Float, rows), on_device(mi.UInt32, place_of)
+        self._gains = joined_colours([lamp.gain for lamp in lamps.values()])
+
+    def of(self, lamp: PlacedLamp, number: mi.UInt32) -> PlacedLamp:
+        """A lamp with the pose and the gain of the instance of a number, one for each ray."""
+        packets = [
+            dr.gather(mi.Vector4f, self._rows, _PACKETS_OF_POSE * number + i)
+            for i in range(_PACKETS_OF_POSE)
+        ]
+        instance = copy.copy(lamp)
+        instance._move([value for packet in packets for value in packet])
+        place = dr.gather(mi.UInt32, self._place_of, number)
+        instance.gain = dr.gather(mi.Color3f, self._gains, place)
+        return instance
+
+
+def joined_colours(colours: list[mi.Color3f]) -> mi.Color3f:
+    """Evaluated arrays, one after another, in one; derivatives pass through."""
+    while len(colours) > 1:
+        groups = [colours[i : i + _JOINED] for i in range(0, len(colours), _JOINED)]
+        colours = [
+            mi.Color3f(*(dr.concat([each[i] for each in group]) for i in range(3)))
+            for group in groups
+        ]
+        for colour in colours:
+            dr.eval(colour)
+    return colours[0]
 
 
 def emitter_class() -> type:

@@ -33,8 +33,8 @@ from numpy.typing import NDArray
 
 from lumitree.core.alias_table import AliasTable
 from lumitree.core.device import on_device, parameter
-from lumitree.rendering.emitter import OtherEmitter, PlacedLamp, lamp_of, lamps_of
-from lumitree.rendering.sampling import divide_sample
+from lumitree.rendering.emitter import Instances, OtherEmitter, PlacedLamp, lamp_of, lamps_of
+from lumitree.rendering.sampling import Reservoir, divide_sample
 
 # Index of no lamp.
 NO_LAMP = 0xFFFFFFFF
@@ -52,10 +52,6 @@ _OTHERS = 0.5
 # Packets of four numbers of a lamp on the device: centre and radius; intensities towards +x, +y,
 # +z; towards -x, -y, -z.
 _PACKETS = 3
-# Packets of four numbers of a lamp's pose (`PlacedAsset.numbers`).
-_PACKETS_OF_POSE = 4
-# Arrays that one kernel joins: with 1,000, LLVM compiles it for more than ten minutes.
-_JOINED = 16
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -136,25 +132,14 @@ class LampChoice:
             where no candidate sends light; and p.
         """
         row, excluded_lamp = self._row(x), self._lamp(excluded, active)
-        choice, total = mi.Float(sample.y), mi.Float(0)
-        lamp, pmf, chosen = mi.UInt32(0), mi.Float(0), mi.Float(0)
-        for candidate in range(_CANDIDATES):
-            # The candidates share one random number, moved by equal steps.
-            place = sample.x + candidate / _CANDIDATES
-            place = dr.select(place < 1, place, place - 1)
-            here, here_pmf = self._table.sample(row, place, active)
-            weight = dr.select(here == excluded_lamp, 0, self._weight(here, x, n, active))
-            ratio = weight / here_pmf
-            total += ratio
-            # Each takes the place of those before with its part of the sum so far.
-            scaled = choice * total
-            taken = scaled < ratio
-            rest = dr.select(taken, scaled, scaled - ratio) / dr.select(taken, ratio, total - ratio)
-            choice = dr.select(ratio > 0, dr.minimum(rest, dr.one_minus_epsilon(mi.Float)), choice)
-            lamp, pmf = dr.select(taken, here, lamp), dr.select(taken, here_pmf, pmf)
-            chosen = dr.select(taken, weight, chosen)
-        found = mi.Bool(active) & (chosen > 0)
-        factor = dr.select(found, total / (_CANDIDATES * chosen), 0)
+        kept = mi.UInt32(0), mi.Float(1)
+        reservoir = Reservoir.start(sample.x, _CANDIDATES, sample.y, kept)
+        for _ in range(_CANDIDATES):
+            lamp, pmf = self._table.sample(row, reservoir.place, active)
+            weight = dr.select(lamp == excluded_lamp, 0, self._weight(lamp, x, n, active))
+            reservoir.add(weight / pmf, (lamp, pmf))
+        (lamp, pmf), found = reservoir.kept, mi.Bool(active) & (reservoir.weight > 0)
+        factor = dr.select(found, reservoir.factor / pmf, 0)
         return dr.gather(mi.UInt32, self._index_of, lamp, found), factor, pmf
 
     def pmf(self, index: mi.UInt32, x: mi.Point3f, active: mi.Bool) -> mi.Float:
@@ -187,10 +172,10 @@ class LampChoice:
         squared, radius = dr.maximum(dr.squared_norm(offset), dr.smallest(mi.Float)), centre.w
         inverse = dr.rsqrt(squared)
         direction = offset * inverse
-        part, towards = dr.square(direction), direction > 0
-        intensity = part.x * dr.select(towards.x, high.x, low.x)
-        intensity += part.y * dr.select(towards.y, high.y, low.y)
-        intensity += part.z * dr.select(towards.z, high.z, low.z)
+        squares, towards = dr.square(direction), direction > 0
+        intensity = squares.x * dr.select(towards.x, high.x, low.x)
+        intensity += squares.y * dr.select(towards.y, high.y, low.y)
+        intensity += squares.z * dr.select(towards.z, high.z, low.z)
         spread = dr.minimum(radius * inverse + _SLACK, 1)
         cosine = dr.select(dr.squared_norm(n) > 0, -dr.dot(n, direction), 1)
         least = dr.select(squared < dr.square(radius), _LEAST_COSINE * (1 + spread), 0)
@@ -300,7 +285,7 @@ class EmitterSelection:
         pmf_of = np.zeros(numbers.max() + 1)
         index_of[numbers], pmf_of[numbers] = np.arange(len(emitters)), pmf
         self._index_of, self._pmf_of = on_device(mi.UInt32, index_of), on_device(mi.Float, pmf_of)
-        self._part = 1 - _OTHERS if self._has_others else 1.0
+        self._lamp_fraction = 1 - _OTHERS if self._has_others else 1.0
 
     def sample(
         self,
@@ -326,7 +311,7 @@ class EmitterSelection:
             other, choice.x = divide_sample(choice.x, _OTHERS)
         lit = active & ~other
         index, weight, pmf = self._lamps.sample(si.p, normal, owner, choice, lit)
-        weight, pmf = weight / self._part, pmf * self._part
+        weight, pmf = weight / self._lamp_fraction, pmf * self._lamp_fraction
         if self._has_others:
             entry, entry_pmf = self._others.sample(mi.UInt32(0), choice.x, active & other)
             found = dr.gather(mi.UInt32, self._other_indices, entry, active & other)
@@ -344,7 +329,7 @@ class EmitterSelection:
         number = dr.reinterpret_array(mi.UInt32, emitter)
         index = dr.gather(mi.UInt32, self._index_of, number, active)
         pmf = self._lamps.pmf(index, it.p, mi.Bool(active))
-        return dr.gather(mi.Float, self._pmf_of, number, active) + self._part * pmf
+        return dr.gather(mi.Float, self._pmf_of, number, active) + self._lamp_fraction * pmf
 
 
 class LampKinds:
@@ -359,79 +344,44 @@ class LampKinds:
 
     def __init__(self, emitters: list[mi.Emitter], pointers: mi.EmitterPtr) -> None:
         lamps = lamps_of(emitters)
-        self._others = len(emitters) > len(lamps)
-        kinds: dict[Hashable, int] = {}
-        self._lamps: list[PlacedLamp] = []
+        self._has_others = len(emitters) > len(lamps)
         numbers = np.array(dr.reinterpret_array(mi.UInt32, pointers))
+        # One lamp of each kind, whose code is the same.
+        kinds: dict[Hashable, tuple[int, PlacedLamp]] = {}
         # By the number of an emitter among all emitters of the process.
-        kind_of = np.full(numbers.max(initial=0) + 1, len(lamps), np.uint32)
-        rows = np.zeros((len(kind_of), 4 * _PACKETS_OF_POSE))
-        slot_of = np.zeros(len(kind_of), np.uint32)
-        for slot, (index, lamp) in enumerate(lamps.items()):
-            kind = kinds.setdefault(_kind(lamp), len(kinds))
-            if kind == len(self._lamps):
-                self._lamps.append(lamp)
-            number = numbers[index]
-            kind_of[number], slot_of[number] = kind, slot
-            rows[number, : len(lamp.numbers)] = lamp.numbers
-        self._apart = len(lamps) > len(kinds)
-        if not self._apart:
-            return
-        kind_of[kind_of == len(lamps)] = len(kinds)
-        self._kind_of, self._slot_of = on_device(mi.UInt32, kind_of), on_device(mi.UInt32, slot_of)
-        self._rows = on_device(mi.Float, rows)
-        self._gains = joined_colours([lamp.gain for lamp in lamps.values()])
+        kind_of = np.full(numbers.max(initial=0) + 1, -1)
+        for index, lamp in lamps.items():
+            kind = id(lamp.asset), lamp.sampling, lamp.shows_geometry, lamp.lights_inside
+            kind_of[numbers[index]] = kinds.setdefault(kind, (len(kinds), lamp))[0]
+        self._lamps = [lamp for _, lamp in kinds.values()]
+        self._has_instances = len(lamps) > len(kinds)
+        if self._has_instances:
+            kind_of[kind_of < 0] = len(kinds)
+            self._kind_of = on_device(mi.UInt32, kind_of)
+            self._instances = Instances({numbers[index]: each for index, each in lamps.items()})
 
     def call(self, method: str, emitter: mi.EmitterPtr, *args: Any) -> Any:
         """Call a method of `PlacedLamp` of emitters, or of `OtherEmitter`, by its name."""
 
-        def of_any(emitter: mi.Emitter, *args: Any) -> Any:
+        def of_any(emitter, *args):
             return getattr(lamp_of(emitter) or OtherEmitter(emitter), method)(*args)
 
-        def of_other(_: mi.UInt32, pointer: mi.EmitterPtr, *args: Any) -> Any:
-            def record(emitter: mi.Emitter, *args: Any) -> Any:
+        def of_other(_, pointer, *args):
+            def record(emitter, *args):
                 return getattr(OtherEmitter(None if lamp_of(emitter) else emitter), method)(*args)
 
-            if self._others:
+            if self._has_others:
                 return dr.dispatch(pointer, record, *args)
             return getattr(OtherEmitter(None), method)(*args)
 
-        def of_kind(lamp: PlacedLamp) -> Any:
-            def record(number: mi.UInt32, _: mi.EmitterPtr, *args: Any) -> Any:
-                packets = [
-                    dr.gather(mi.Vector4f, self._rows, _PACKETS_OF_POSE * number + i)
-                    for i in range(_PACKETS_OF_POSE)
-                ]
-                values = [value for packet in packets for value in packet]
-                gain = dr.gather(
-                    mi.Color3f, self._gains, dr.gather(mi.UInt32, self._slot_of, number)
-                )
-                return getattr(lamp.moved(values, gain), method)(*args)
+        def of_kind(lamp: PlacedLamp):
+            def record(number, _, *args):
+                return getattr(self._instances.of(lamp, number), method)(*args)
 
             return record
 
-        if not self._apart:
+        if not self._has_instances:
             return dr.dispatch(emitter, of_any, *args)
         number = dr.reinterpret_array(mi.UInt32, emitter)
         kind = dr.gather(mi.UInt32, self._kind_of, number)
-        targets = [*map(of_kind, self._lamps), of_other]
-        return dr.switch(kind, targets, number, emitter, *args)
-
-
-def joined_colours(colours: list[mi.Color3f]) -> mi.Color3f:
-    """Evaluated arrays, one after another, in one; derivatives pass through."""
-    while len(colours) > 1:
-        groups = [colours[i : i + _JOINED] for i in range(0, len(colours), _JOINED)]
-        colours = [
-            mi.Color3f(*(dr.concat([each[i] for each in group]) for i in range(3)))
-            for group in groups
-        ]
-        for colour in colours:
-            dr.eval(colour)
-    return colours[0]
-
-
-def _kind(lamp: PlacedLamp) -> Hashable:
-    """Equal for lamps whose code is the same."""
-    light = id(lamp.asset), id(lamp.field), lamp.sampling
-    return *light, lamp.shows_geometry, lamp.lights_inside
+        return dr.switch(kind, [*map(of_kind, self._lamps), of_other], number, emitter, *args)

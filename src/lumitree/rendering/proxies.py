@@ -9,9 +9,10 @@ one scene only.
 
 from __future__ import annotations
 
+import itertools
 import weakref
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import drjit as dr
 import mitsuba as mi
@@ -30,11 +31,8 @@ MAX_CROSSINGS = 1024
 # Index of no emitter.
 NONE = 0xFFFFFFFF
 # Packets of four numbers of a proxy on the device: a point, a matrix, `lights_inside`,
-# `sampled_only_radius`, the number of its bit in masks of lamps, and 0; and of a
-# node of the tree (`box_tree`).
+# `sampled_only_radius`, and zeros; and of a node of the tree (`box_tree`).
 _PACKETS, _NODE_PACKETS = 4, 2
-# Bits of a mask of lamps. If there are more lamps than bits, some share one.
-_BITS = 32
 # Part of the distance by which a ray may miss a node's box, and by which boxes are larger than they
 # need be, so that rounding loses none.
 _SLACK = 1e-5
@@ -52,8 +50,7 @@ class Proxies:
         for index, lamp in lamps.items():
             matrix, centre = lamp.unit_proxy()
             radius = lamp.sampled_only_radius if emitters[index].sampling_weight() > 0 else 0.0
-            bit = len(rows) % _BITS
-            rows.append([*centre, *matrix.ravel(), lamp.lights_inside, radius, bit, 0])
+            rows.append([*centre, *matrix.ravel(), lamp.lights_inside, radius, 0, 0])
             reach = np.abs(np.linalg.inv(matrix)).sum(axis=1)
             boxes.append([centre - reach, centre + reach])
         # Whether there are any, and whether any has a transmittance below 1.
@@ -72,7 +69,7 @@ class Proxies:
         end: mi.Float,
         active: mi.Bool,
         starts: mi.Bool | bool = False,
-        skipped: mi.UInt32 | int = 0,
+        skipped: Sequence[mi.UInt32] = (),
         sampled: tuple[mi.Point3f, mi.Float] | None = None,
     ) -> tuple[mi.Float, mi.UInt32]:
         """As `next`, for the first proxy on a ray."""
@@ -87,7 +84,7 @@ class Proxies:
         end: mi.Float,
         active: mi.Bool,
         starts: mi.Bool | bool = False,
-        skipped: mi.UInt32 | int = 0,
+        skipped: Sequence[mi.UInt32] = (),
         sampled: tuple[mi.Point3f, mi.Float] | None = None,
     ) -> tuple[mi.Float, mi.UInt32]:
         """The proxy that a ray enters next.
@@ -98,7 +95,7 @@ class Proxies:
         Args:
             after, last: result for the proxy before.
             starts: mask of these rays.
-            skipped: mask of the lamps whose proxies are not entered at the origin (`Owners.bit`).
+            skipped: lamps whose proxies are not entered at the origin (`Owners.add`).
             sampled: vertex that the ray comes from, and density per steradian with which its BSDF
                 sampled the ray. Skipped are proxies whose light next-event estimation alone finds
                 there, and which transmit all light (`sampled_only_radius`).
@@ -114,7 +111,7 @@ class Proxies:
             meets = active & (near <= far) & (far >= after) & (near <= distance)
             at_proxy = meets & (proxy != NONE)
             index = dr.gather(mi.UInt32, self._indices, proxy, at_proxy)
-            entry, enters = self._enter(proxy, ray, at_proxy, starts, skipped, sampled)
+            entry, enters = self._enter(proxy, index, ray, at_proxy, starts, skipped, sampled)
             # Proxies that are entered at the same distance come in the order of their emitters.
             enters &= (entry > after) | ((entry == after) & (last != NONE) & (index > last))
             first = (entry == distance) & (found != NONE) & (index < found)
@@ -147,19 +144,20 @@ class Proxies:
     def _enter(
         self,
         proxy: mi.UInt32,
+        index: mi.UInt32,
         ray: mi.Ray3f,
         active: mi.Bool,
         starts: mi.Bool | bool,
-        skipped: mi.UInt32 | int,
+        skipped: Sequence[mi.UInt32],
         sampled: tuple[mi.Point3f, mi.Float] | None,
     ) -> tuple[mi.Float, mi.Bool]:
-        """Distance at which a ray enters a proxy, and whether it does."""
+        """Distance at which a ray enters a proxy of an emitter's index, and whether it does."""
         packets = [
             dr.gather(mi.Vector4f, self._rows, proxy * _PACKETS + i, active)
             for i in range(_PACKETS)
         ]
         values = [number for packet in packets for number in packet]
-        matrix, (lights, radius, bit) = mi.Matrix3f(*values[3:12]), values[12:15]
+        matrix, (lights, radius) = mi.Matrix3f(*values[3:12]), values[12:14]
         if sampled is not None:
             # A little less often than the lamp itself does, whose rounding is another.
             x, pdf = sampled
@@ -171,7 +169,8 @@ class Proxies:
         entry = dr.max(near)
         crosses = entry <= dr.min(far)
         begins = (dr.max(dr.abs(o)) <= 1) & ((lights > 0) | starts)
-        begins &= (skipped & (mi.UInt32(1) << mi.UInt32(bit))) == 0
+        for lamp in skipped:
+            begins &= index != lamp
         return dr.select(begins, 0, entry), active & (begins | (crosses & (entry > 0)))
 
 
@@ -233,9 +232,21 @@ class Divided(NamedTuple):
 
 
 class Owners:
-    """The lamps, by index of their emitters, that shapes, and media that scatter, belong to."""
+    """The lamps, by index of their emitters, that shapes, and media that scatter, belong to.
 
-    def __init__(self, lamps: Mapping[int, PlacedLamp]) -> None:
+    A set of lamps that a ray has met is a list of their indices. Boxes are convex, so that a ray
+    that has left a box does not come back. Lamps whose boxes do not overlap therefore share a place
+    in the list, where the later one takes the place of the one before.
+
+    Args:
+        lamps: of the scene, by index of their emitters.
+        overlaps: [P, 2] pairs of indices of lamps whose boxes overlap and whose surfaces are
+            traced.
+    """
+
+    def __init__(
+        self, lamps: Mapping[int, PlacedLamp], overlaps: Sequence[tuple[int, int]] = ()
+    ) -> None:
         # By the number of a shape.
         self.owner = {
             number: index for index, lamp in lamps.items() for number in lamp.shape_numbers
@@ -247,9 +258,13 @@ class Owners:
         # Whether there are shapes, and media that scatter.
         self.exist, self.scatter = bool(self.owner), bool(owner_of_medium)
         self._lamps, self._lamps_of_media = _Numbers(self.owner), _Numbers(owner_of_medium)
-        self._cloudy = _Numbers(cloudy)
-        # As `Proxies` numbers them.
-        self._bits = _Numbers({index: count % _BITS for count, index in enumerate(lamps)})
+        self._cloudy, self._known = _Numbers(cloudy), _Numbers(dict.fromkeys(lamps, 1))
+        places: dict[int, int] = {}
+        for index in lamps:
+            taken = {places.get(i) for pair in overlaps if index in pair for i in pair}
+            places[index] = next(place for place in itertools.count() if place not in taken)
+        self._num_places = max(places.values(), default=0) + 1
+        self._places = _Numbers(places)
 
     def of(self, shape: mi.ShapePtr, active: mi.Bool) -> mi.UInt32:
         """Index of the emitter whose lamp a shape belongs to, or `NONE`."""
@@ -259,10 +274,23 @@ class Owners:
         """As `of`, for a medium; `NONE` for a medium that only absorbs."""
         return self._lamps_of_media.look_up(dr.reinterpret_array(mi.UInt32, medium), active)
 
-    def bit(self, lamp: mi.UInt32, active: mi.Bool) -> mi.UInt32:
-        """The bit that stands for the lamp of an index in masks of lamps; 0 for `NONE`."""
-        number = self._bits.look_up(lamp, active)
-        return dr.select(number == NONE, 0, mi.UInt32(1) << (number & (_BITS - 1)))
+    def is_lamp(self, index: mi.UInt32, active: mi.Bool) -> mi.Bool:
+        """Whether the emitter of an index is a lamp."""
+        return self._known.look_up(index, active) != NONE
+
+    def no_lamps(self) -> list[mi.UInt32]:
+        """An empty set of lamps that a ray has met."""
+        return [mi.UInt32(NONE) for _ in range(self._num_places)]
+
+    def add(self, met: list[mi.UInt32], lamp: mi.UInt32, active: mi.Bool) -> None:
+        """Add lamps, or none where `lamp` is `NONE`, to a set of lamps that rays have met."""
+        known = active & (lamp != NONE)
+        if self._num_places == 1:
+            met[0][known] = lamp
+            return
+        of_lamp = self._places.look_up(lamp, known)
+        for place, kept in enumerate(met):
+            kept[known & (of_lamp == place)] = lamp
 
     def scatters(self, lamp: mi.UInt32, active: mi.Bool) -> mi.Bool:
         """Whether media of the lamp of this index scatter."""
@@ -297,14 +325,14 @@ class DividedScene:
 
     def __init__(self) -> None:
         self._shapes: list[mi.Shape] | None = None
-        self._geometry: list[list[Any]] = []
+        self._parameters: list[list[object]] = []
         self._surfaces: mi.Scene | None = None
         self._outside_lamps: mi.Scene | None = None
-        # The surfaces that belong to no lamp, and whether lamps overlap.
+        # The surfaces that belong to no lamp, and pairs of lamps that overlap.
         self._others: list[mi.Shape] = []
-        self._overlap = False
-        # Lamps that light the objects in their boxes, if there are any.
-        self._lit: weakref.WeakSet[PlacedLamp] = weakref.WeakSet()
+        self._overlaps: list[tuple[int, int]] = []
+        # Lamps that light the objects in their boxes, if there are any; not kept alive.
+        self._lit: list[weakref.ref[PlacedLamp]] = []
 
     def of(self, scene: mi.Scene) -> Divided:
         """The surfaces that rays of a scene are traced against, and the proxies that it leaves out.
@@ -314,23 +342,25 @@ class DividedScene:
         shapes, emitters = scene.shapes(), scene.emitters()
         surfaces = [shape for shape in shapes if lamp_of(shape.emitter()) is None]
         lamps = lamps_of(emitters)
-        owners = Owners(lamps)
         if not lamps:
-            return Divided(scene, Proxies([]), None, False, owners)
+            return Divided(scene, Proxies([]), None, False, Owners({}))
         groups = shape_groups(scene)
-        geometry = [_geometry(shape) for shape in [*groups, *surfaces]]
-        same = surfaces == self._shapes and all(map(_same, geometry, self._geometry))
+        parameters = [_parameters(shape) for shape in [*groups, *surfaces]]
+        same = surfaces == self._shapes and all(map(_same, parameters, self._parameters))
         # Another scene may have the same surfaces and other lamps.
-        if not (same and all(lamp in self._lit for lamp in lamps.values())):
+        if not (same and [lamp() for lamp in self._lit] == list(lamps.values())):
             if not same:
                 self._surfaces = _scene_of(groups, surfaces)
             self._outside_lamps = None
-            self._shapes, self._geometry = surfaces, geometry
-            self._others = [each for each in surfaces if shape_number(each) not in owners.owner]
-            self._overlap = _light_insides(list(lamps.values()), self._others)
-            self._lit = weakref.WeakSet(lamps.values())
+            self._shapes, self._parameters = surfaces, parameters
+            owned = {number for lamp in lamps.values() for number in lamp.shape_numbers}
+            self._others = [each for each in surfaces if shape_number(each) not in owned]
+            self._overlaps = _light_insides(list(lamps.values()), self._others)
+            self._lit = [weakref.ref(lamp) for lamp in lamps.values()]
         assert self._surfaces is not None
-        outside_lamps, passes = None, self._overlap or _one_scene_only()
+        indices = list(lamps)
+        owners = Owners(lamps, [(indices[i], indices[j]) for i, j in self._overlaps])
+        outside_lamps, passes = None, bool(self._overlaps) or _one_scene_only()
         if owners.exist and any(lamp.lights_inside for lamp in lamps.values()):
             if not passes and self._outside_lamps is None:
                 self._outside_lamps = _scene_of(groups, self._others)
@@ -339,26 +369,30 @@ class DividedScene:
 
 
 def _one_scene_only() -> bool:
-    """Whether a kernel may trace one scene only."""
+    """Whether a kernel may trace one scene only, as under OptiX."""
     return dr.backend_v(mi.Float) == dr.JitBackend.CUDA
 
 
-def _light_insides(lamps: list[PlacedLamp], others: list[mi.Shape]) -> bool:
-    """Let lamps light shapes in their boxes; whether another lamp's shapes are in one of them."""
+def _light_insides(lamps: list[PlacedLamp], others: list[mi.Shape]) -> list[tuple[int, int]]:
+    """Let lamps light shapes in their boxes; pairs where another lamp's shapes are in one of them.
+
+    Pairs are places in `lamps`.
+    """
     boxes = np.array([lamp.scene_from_box for lamp in lamps]).reshape(-1, 4, 4)
-    lit, overlap = contains_objects(others, boxes), False
-    for pair in overlapping(boxes):
-        if any(lamps[i].shows_geometry for i in pair):
-            lit[pair], overlap = True, True
+    lit, pairs = contains_objects(others, boxes), []
+    for i, j in overlapping(boxes).tolist():
+        if lamps[i].shows_geometry or lamps[j].shows_geometry:
+            lit[[i, j]] = True
+            pairs.append((i, j))
     for index in np.flatnonzero(lit):
         lamps[index].light_inside()
-    return overlap
+    return pairs
 
 
 def _scene_of(groups: list[mi.Shape], shapes: list[mi.Shape]) -> mi.Scene:
     """A scene of shapes, and of the groups that its instances repeat."""
     build_again(groups)
-    described: dict[str, Any] = {f"shape_{i}": each for i, each in enumerate([*groups, *shapes])}
+    described: dict[str, object] = {f"shape_{i}": each for i, each in enumerate([*groups, *shapes])}
     emitters = [shape.emitter() for shape in shapes if shape.is_emitter()]
     if emitters and not any(emitter.sampling_weight() for emitter in emitters):
         # Mitsuba accepts no scene whose emitters are never sampled; this one is not used.
@@ -372,7 +406,7 @@ def is_instance(shape: mi.Shape) -> bool:
     return shape.class_name() == "Instance"
 
 
-def _geometry(shape: mi.Shape) -> list[Any]:
+def _parameters(shape: mi.Shape) -> list[object]:
     """The parameters of a shape itself, without its BSDF and its emitter."""
     parameters = mi.traverse(shape)
     values = (parameters[name] for name in parameters.properties if "." not in name)
@@ -380,10 +414,10 @@ def _geometry(shape: mi.Shape) -> list[Any]:
     return [type(value)(value) for value in values]
 
 
-def _same(first: list[Any], second: list[Any]) -> bool:
-    """Whether two lists of `_geometry` have the same numbers."""
+def _same(first: list[object], second: list[object]) -> bool:
+    """Whether two lists of `_parameters` have the same numbers."""
 
-    def equal(a: Any, b: Any) -> bool:
+    def equal(a: object, b: object) -> bool:
         # As `mitsuba.SceneParameters` compares them: arrays of equal index are one array, which is
         # not changed as long as both refer to it.
         if dr.detail.collect_indices(a) == dr.detail.collect_indices(b) != []:

@@ -11,6 +11,7 @@ Symbols
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -79,18 +80,56 @@ def scrambled(sample: mi.Point2f) -> mi.Point3f:
     return mi.Point3f(mi.Float(u >> 8), mi.Float(v >> 8), mi.Float(w >> 8)) * 2.0**-24
 
 
-def resample(choice: mi.Float, light: mi.Float, total: mi.Float) -> tuple[mi.Bool, mi.Float]:
-    """Whether a candidate of resampled importance sampling takes the place of those before.
+@dataclass
+class Reservoir:
+    """Resampled importance sampling (Talbot et al. 2005) of candidates (a PyTree of Dr.Jit).
 
-    Args:
-        choice: number in [0, 1).
-        light: weight of the candidate.
-        total: weight of this candidate and of all before.
+    Candidates come from a table. One is kept, in proportion to its weight: the light that it is
+    estimated to send, over the probability with which the table returns it.
 
-    Returns:
-        With it a new number in [0, 1).
+    Attributes:
+        place: number in [0, 1) for the table. Candidates share it, moved by equal steps.
+        step: 1 over the number of candidates.
+        choice: number in [0, 1) for the choice among candidates.
+        kept: the candidate that is kept, a tuple.
+        weight: of the candidate that is kept; 0 where no candidate sends light.
+        total: weight of all candidates so far.
     """
-    return divide_sample(choice, dr.select(total > 0, light / total, 0))
+
+    place: mi.Float
+    step: mi.Float
+    choice: mi.Float
+    kept: tuple[Any, ...]
+    weight: mi.Float
+    total: mi.Float
+
+    @classmethod
+    def start(
+        cls, place: mi.Float, count: int | mi.UInt32, choice: mi.Float, kept: tuple[Any, ...]
+    ) -> Reservoir:
+        """Before the first candidate; `kept` is returned where no candidate sends light."""
+        step = dr.rcp(mi.Float(count))
+        return cls(mi.Float(place), step, mi.Float(choice), kept, mi.Float(0), mi.Float(0))
+
+    def add(self, weight: mi.Float, candidate: tuple[Any, ...]) -> None:
+        """Add a candidate, and move `place` for the next one."""
+        self.total += weight
+        fraction = dr.select(self.total > 0, weight / self.total, 0)
+        taken, self.choice = divide_sample(self.choice, fraction)
+        self.kept = dr.select(taken, candidate, self.kept)
+        self.weight = dr.select(taken, weight, self.weight)
+        self.place += self.step
+        self.place = dr.select(self.place < 1, self.place, self.place - 1)
+
+    @property
+    def mean(self) -> mi.Float:
+        """Mean weight, an estimate of all light that candidates stand for."""
+        return self.total * self.step
+
+    @property
+    def factor(self) -> mi.Float:
+        """Factor on the light of the candidate that is kept, which then stands for all light."""
+        return dr.select(self.weight > 0, self.mean / self.weight, 0)
 
 
 def sample_row(

@@ -25,7 +25,6 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from lumitree.asset.geometry import MeshArrays, Shape, UnitShape
 from lumitree.asset.light_field import LightField, unpack
@@ -36,7 +35,7 @@ from lumitree.lamp.emitting_surfaces import even_places
 from lumitree.octree.build import morton
 from lumitree.rendering.device_light import smooth_bin
 from lumitree.rendering.light_table import ReceiverCells, cell_rows
-from lumitree.rendering.sampling import STRAIGHT, Target, resample, scrambled
+from lumitree.rendering.sampling import STRAIGHT, Reservoir, Target, scrambled
 
 # Clusters at most, the depth of the finest grid whose cells they are, and how many are candidates.
 _CLUSTERS, _DEPTH, _CANDIDATES = 16, 5, 2
@@ -77,29 +76,24 @@ class StraightLight:
     ) -> None:
         self._elements, self._factors = Elements(surfaces), parameter(mi.Color3f, *factors)
         each, area = self._elements, self._elements.area
-        self.densities = each.densities
+        self.densities, cluster = each.densities, each.cluster
         light = area[:, None] * (each.radiance + _FLOOR * each.surface_radiance[each.surface])
         weight = light.mean(axis=1)
         # Black ones have a direction, too.
         weight = np.maximum(weight, 1e-9 * weight.max() or 1.0)
-        cluster, order = _clusters(each.middle)
-        first = np.searchsorted(cluster[order], np.arange(cluster.max() + 2))
-        each.sort(order)
-        self._first, self._bins = on_device(mi.UInt32, first[:-1]), _BINS
+        first = np.flatnonzero(np.diff(cluster, prepend=-1))
+        self._first, self._bins = on_device(mi.UInt32, first), _BINS
         while self._bins > 1 and self._bins**2 * len(area) > _MAX_ENTRIES:
             self._bins //= 2
         sent = weight * (np.maximum(middle_directions(self._bins) @ each.normal.T, 0) + _SPREAD / 4)
-        rows = np.split(sent[:, order], first[1:-1], axis=1)
+        rows = np.split(sent, first[1:], axis=1)
         # A part for each cluster, with a row for each bin of direction.
         self._entries = AliasTable(rows, *(each.shape for each in rows))
 
         flux = np.asarray(np.bincount(cluster, weight), np.float64)
         middles = np.stack([np.bincount(cluster, weight * x) for x in each.middle.T], axis=1)
         middles /= flux[:, None]
-        low, high = (
-            np.stack([f(x[order], first[:-1]) for x in each.middle.T], axis=1)
-            for f in (np.minimum.reduceat, np.maximum.reduceat)
-        )
+        low, high = (extreme.reduceat(each.middle, first) for extreme in (np.minimum, np.maximum))
         corners = on_device(mi.Float, np.stack([low, high], axis=1))
         size = ((high - low) ** 2).sum(axis=1) / 4
         self._middles = on_device(mi.Float, np.concatenate([middles, size[:, None]], axis=1))
@@ -138,8 +132,8 @@ class StraightLight:
     ) -> None:
         """Let a target be one of straight light, with the probability of its part of the light.
 
-        Resampled importance sampling, as `CellLight.sample_point`. Its clusters and the
-        points of stored light are candidates alike.
+        Resampled importance sampling among clusters, and then among the cluster and the point of
+        stored light.
 
         Args:
             x: receiver, anywhere.
@@ -148,29 +142,23 @@ class StraightLight:
             inside: receivers in the box.
         """
         random = scrambled(mi.Point2f(1 - sample.x, sample.y))
-        choice = random.y
         row = dr.select(inside, self._around.count, self._around.index(x))
-        total, chosen = mi.Float(0), mi.Float(0)
-        found, found_pmf = mi.UInt32(0), mi.Float(1)
-        for candidate in range(_CANDIDATES):
-            place = random.x + candidate / _CANDIDATES
-            place = dr.select(place < 1, place, place - 1)
-            cluster, pmf = self._table.sample(row, place, active)
+        kept = mi.UInt32(0), mi.Float(1)
+        reservoir = Reservoir.start(random.x, _CANDIDATES, random.y, kept)
+        for _ in range(_CANDIDATES):
+            cluster, pmf = self._table.sample(row, reservoir.place, active)
             offset, size = self._offset(x, cluster, active)
             light = self._sent(cluster, offset, inside, active)
             light /= pmf * (dr.squared_norm(offset) + size)
-            total += light
-            taken, choice = resample(choice, light, total)
-            chosen = dr.select(taken, light, chosen)
-            found = dr.select(taken, cluster, found)
-            found_pmf = dr.select(taken, pmf, found_pmf)
-        total = dr.select(active, total / _CANDIDATES, 0)
-        part = dr.select(total > 0, total / (total + target.total), 0)
-        straight = random.z < part
-        stored = target.factor / (1 - part)
-        target.factor = dr.select(straight, total / (chosen * part), stored)
-        target.cell = dr.select(straight, found, target.cell)
-        target.pmf = dr.select(straight, found_pmf, target.pmf)
+            reservoir.add(light, (cluster, pmf))
+        total = dr.select(active, reservoir.mean, 0)
+        fraction = dr.select(total > 0, total / (total + target.total), 0)
+        straight = random.z < fraction
+        stored = target.factor / (1 - fraction)
+        target.factor = dr.select(straight, reservoir.factor / fraction, stored)
+        cluster, pmf = reservoir.kept
+        target.cell = dr.select(straight, cluster, target.cell)
+        target.pmf = dr.select(straight, pmf, target.pmf)
         target.place = dr.select(straight, mi.UInt32(STRAIGHT), target.place)
 
     def sample(
@@ -202,15 +190,15 @@ class StraightLight:
         return offset / distance
 
 
-def _clusters(middle: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Cluster of each element by its middle [E, 3], and the order of elements by clusters."""
+def _clusters(middle: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Cluster [E] of each element by its middle [E, 3]."""
     depth = _DEPTH
     while True:
         side = 1 << depth
         cell = np.clip(np.floor((middle + 1) * (side / 2)), 0, side - 1).astype(np.int64)
         codes, cluster = np.unique(morton(cell), return_inverse=True)
         if len(codes) <= _CLUSTERS:
-            return cluster, np.argsort(cluster, kind="stable")
+            return cluster
         depth -= 1
 
 
@@ -242,7 +230,7 @@ def _straight(
     straight = field.scale * (unpack(field.intensity) - unpack(field.bent)) @ np.array(factors)
     by_cell = field.dense(straight)
     centres = (field.cells + 0.5) * (2 / (1 << field.depth)) - 1
-    nearest = KDTree(middles).query(centres)[1]
+    nearest = np.stack([((centres - each) ** 2).sum(axis=1) for each in middles]).argmin(axis=0)
     return np.stack([by_cell[nearest == i].sum(axis=0) for i in range(len(middles))])
 
 
@@ -353,14 +341,14 @@ class ElementPoint:
 
 
 class Elements:
-    """The elements of some surfaces.
+    """The elements of some surfaces, in the order of their clusters.
 
     Args:
         surfaces: at least one.
 
     Attributes:
         area: [E].
-        surface: [E] index of the surface.
+        cluster, surface: [E] index of the cluster and of the surface.
         radiance, surface_radiance: [E, 3] and [N, 3] mean radiance of the elements, and of the
             surfaces.
         middle, normal: [E, 3].
@@ -375,17 +363,20 @@ class Elements:
         self._divided = any((each > 1).any() for each in sides)
         self._has_normals = any(each.normals is not None for each in surfaces)
         blocks = [self._block(*each) for each in zip(surfaces, sides, strict=True)]
-        self._numbers = {
-            name: np.concatenate([each[name] for each in blocks]) for name in blocks[0]
-        }
-        self.surface = np.repeat(np.arange(len(blocks)), [len(each["table"]) for each in blocks])
-        table = self._numbers["table"]
-        self.area: NDArray[np.float64] = table[:, 0, 3].copy()
-        self._upload()
-        entry, active = dr.arange(mi.UInt32, len(table)), mi.Bool(True)
+        numbers = {name: np.concatenate([each[name] for each in blocks]) for name in blocks[0]}
+        surface = np.repeat(np.arange(len(blocks)), [len(each["table"]) for each in blocks])
+        # On the device in this order, for the middles; and then in the order of clusters.
+        self._upload(numbers)
+        entry, active = dr.arange(mi.UInt32, len(surface)), mi.Bool(True)
         middle = self.point(entry, mi.Point2f(0.5, 0.5), active)
-        self.middle, self.normal = (np.array(each, np.float64).T for each in (middle.p, middle.n))
-        self.radiance = self._mean_radiance(len(table)) if self._textures else table[:, 4, :3]
+        middles, normals = (np.array(each, np.float64).T for each in (middle.p, middle.n))
+        cluster = _clusters(middles)
+        order = np.argsort(cluster, kind="stable")
+        self.cluster, self.surface = cluster[order], surface[order]
+        self.middle, self.normal = middles[order], normals[order]
+        table = numbers["table"]
+        radiance = self._mean_radiance(len(table)) if self._textures else table[:, 4, :3]
+        self.area, self.radiance = table[order, 0, 3], radiance[order]
         areas = np.maximum(np.bincount(self.surface, self.area), 1e-300)
         power = [np.bincount(self.surface, self.area * each) for each in self.radiance.T]
         self.surface_radiance = np.stack(power, axis=1) / areas[:, None]
@@ -393,13 +384,8 @@ class Elements:
         # Black surfaces are sampled too; their emission is 0.
         mean = mean if mean.any() else np.ones(len(mean))
         self.densities = mean / (mean * areas).sum()
-        table[:, 4, 3] = self.densities[self.surface]
-        self._upload()
-
-    def sort(self, order: NDArray[np.integer]) -> None:
-        """Bring the elements on the device into an order; the attributes keep theirs."""
-        self._numbers = {name: values[order] for name, values in self._numbers.items()}
-        self._upload()
+        table[:, 4, 3] = self.densities[surface]
+        self._upload({name: values[order] for name, values in numbers.items()})
 
     def point(self, entry: mi.UInt32, place: mi.Point2f, active: mi.Bool) -> ElementPoint:
         """A point of an element, uniform by area for a place in the unit square."""
@@ -408,11 +394,11 @@ class Elements:
             for i in range(_PACKETS)
         ]
         o, e1, e2, e3, colour = (mi.Vector3f(each.x, each.y, each.z) for each in packets)
-        kind, part, side = (mi.Int32(each.w) for each in packets[1:4])
+        kind, piece, side = (mi.Int32(each.w) for each in packets[1:4])
         inwards, kind = kind < 0, dr.abs(kind) - 1
         if self._divided:
-            row = part // dr.maximum(side, 1)
-            place += mi.Point2f(mi.Float(part - row * side), mi.Float(row))
+            row = piece // dr.maximum(side, 1)
+            place += mi.Point2f(mi.Float(piece - row * side), mi.Float(row))
             place = dr.minimum(place / mi.Float(side), dr.one_minus_epsilon(mi.Float))
         weights = self._weights(kind, place)
         along = weights.x * e1 + weights.y * e2
@@ -465,8 +451,10 @@ class Elements:
             total += weight * mi.Vector3f(packet.x, packet.y, packet.z)
         return total
 
-    def _block(self, surface: EmittingSurface, side: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
-        """Numbers of the elements of a surface [F], each divided into side² parts."""
+    def _block(
+        self, surface: EmittingSurface, side: NDArray[np.int64]
+    ) -> dict[str, NDArray[np.float64]]:
+        """Numbers of the elements of a surface [F], each divided into side² pieces."""
         count = len(surface.frame)
         table = np.zeros((count, _PACKETS, 4))
         table[:, :4, :3], table[:, 0, 3] = surface.frame, surface.areas / side**2
@@ -482,14 +470,13 @@ class Elements:
             given = surface.texcoords
             texcoords[..., :2] = _BARYCENTRIC if given is None else given
         numbers = {"table": table, "normals": normals, "texcoords": texcoords}
-        parts = side**2
-        numbers = {name: np.repeat(each, parts, axis=0) for name, each in numbers.items()}
-        first = np.repeat(np.cumsum(parts) - parts, parts)
+        pieces = side**2
+        numbers = {name: np.repeat(each, pieces, axis=0) for name, each in numbers.items()}
+        first = np.repeat(np.cumsum(pieces) - pieces, pieces)
         numbers["table"][:, 2, 3] = np.arange(len(first)) - first
         return numbers
 
-    def _upload(self) -> None:
-        numbers = self._numbers
+    def _upload(self, numbers: dict[str, NDArray[np.float64]]) -> None:
         self._elements = on_device(mi.Float, numbers["table"])
         self._normals = on_device(mi.Float, numbers["normals"]) if self._has_normals else None
         self._texcoords = on_device(mi.Float, numbers["texcoords"]) if self._textures else None

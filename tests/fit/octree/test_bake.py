@@ -82,6 +82,14 @@ def test_a_field_that_cannot_be_bright_enough_is_told(lamp, tmp_path):
         bake(luminaire, few, tmp_path / "state")
 
 
+def test_a_budget_that_the_first_estimate_spends_is_a_warning(ball, tmp_path):
+    from lumitree.fit.octree.bake import bake
+
+    with pytest.warns(LumitreeWarning, match=r"lamp0: 0\.001 s were over before the gradient"):
+        result = bake(ball, small_config(time=1e-3, rays=None), tmp_path)
+    assert result.rays == 0
+
+
 @pytest.mark.slow
 def test_score_is_that_of_the_asset_even_where_descent_makes_it_worse(ball, tmp_path):
     """With far too large steps, the field that is returned is the one of the score."""

@@ -173,6 +173,13 @@ def _run(
         # At once, so that the first estimate, which takes tens of seconds, need not be repeated.
         descent.save()
         descent.run(f"{verb} {name}", interruption)
+        if not budget.rays and not interruption:
+            warnings.warn(
+                f"{name}: {config.time:g} s were over before the gradient descent began; "
+                "give it more",
+                LumitreeWarning,
+                stacklevel=2,
+            )
         with progress(f"calibrate {name}", 2) as advance:
             # The descent leaves small bright parts a few percent too bright. The flux
             # correction factor makes up for the rest, as where the sigmoid saturates.
