@@ -37,8 +37,8 @@ OTHERS = {
     "words of docs by hand": 45_000,
     "lines of README.md": 90,
     "files that use the word gain": 12,
-    "lines with Any": 440,
-    "private functions used once": 362,
+    "lines with Any": 415,
+    "private functions used once": 360,
 }
 
 
