@@ -7,11 +7,12 @@ Dr.Jit is imported when it is used. Modules that import this one are imported be
 import threading
 import weakref
 from collections.abc import Callable, Hashable, Iterable
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+_T = TypeVar("_T")
 # Dr.Jit may read this many values beyond an array's end: a packet of the widest vector unit.
 _PACKET = 64
 # Bytes. Dr.Jit compiles a different kernel for unaligned arrays, and NumPy aligns only some.
@@ -75,7 +76,7 @@ def transforms_as_parameters(shapes: Iterable[Any]) -> None:
             values.update()
 
 
-def on_device(kind: Any, values: ArrayLike) -> Any:
+def on_device(kind: Callable[..., _T], values: ArrayLike) -> _T:
     """Device array of a copy of some values, converted.
 
     Dr.Jit 1.5 reads NumPy arrays without copying them, and in whole packets, so it also reads
