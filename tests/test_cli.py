@@ -1,5 +1,6 @@
 """Every command's errors, in one line with status 2, and what they print."""
 
+# pyright: reportCallIssue=false
 import inspect
 import json
 import os
@@ -15,9 +16,11 @@ import pytest
 
 import lumitree
 from lumitree.cli import main
-from lumitree.cli.commands import COMMANDS
+from lumitree.cli.app import _parsed
+from lumitree.cli.commands import COMMANDS, _places
 from lumitree.core.files import MARKER
 from lumitree.core.photometry import flux_text
+from lumitree.lamp.source import LuminaireSource
 from support.fields import make_asset, random_asset
 from support.lamps import AREA, BALL, room, sphere
 
@@ -110,6 +113,13 @@ def fails(capsys, *arguments):
          "gain is [-1.0, 1.0, 1.0]; expected one number or three (R, G, B) from 0 to 1,000,000"),
         (["render", "room.xml", "-o", "a.png", "--place", "lamp.xml", "--gain", "2"],
          "is placed as explicit geometry"),
+        (["render", "room.xml", "-o", "a.png", "--place", "lamp.xml", "--grid", "3x2",
+          "--pitch", "1,2"], "lamp.xml has a grid; say by at where its centre is"),
+        (["render", "room.xml", "-o", "a.png", "--place", "lamp.xml", "--at", "0,1,0", "--grid",
+          "3,2"], "grid is '3,2'; expected whole numbers such as 3x2"),
+        (["render", "room.xml", "-o", "a.png", "--place", "lamp.lumitree", "--keep", "bulb"],
+         "keep: not for an asset"),
+        (["render", "room.xml", "-o", "a.png", "--keep", "x"], "--keep comes before any --place"),
         (["render", "room.xml", "-o", "a.png", "--gain", "2"], "--gain comes before any --place"),
         (["demo", "--variant", "cuda_ad_spectral"], "choose llvm_ad_rgb"),
         (["capture", "lamp.fbx", "-o", "d"], "(a Mitsuba 3 scene), .obj, .gltf, .glb"),
@@ -313,8 +323,8 @@ def test_list_info_and_json(capsys):
 def test_preview(capsys, monkeypatch):
     monkeypatch.setattr("lumitree.measure.preview.FLUX_PATHS", 1)
     monkeypatch.setattr("lumitree.measure.preview.BOUNCE_PATHS", 1)
-    assert main(["preview", "lamp.xml", "-o", "sheet.png", "--resolution", "16", "--spp", "4",
-                 "--bounces", "--json", "report.json"]) == 0  # fmt: skip
+    options = ["--resolution", "16", "--spp", "4", "--bounces", "--json", "report.json"]
+    assert main(["preview", "lamp.xml", "-o", "sheet.png", "--sheet", *options]) == 0
     captured = capsys.readouterr()
     assert captured.err == ""
     assert "beyond 128 bounces  0 ± 0 % of the flux" in captured.out
@@ -325,7 +335,6 @@ def test_preview(capsys, monkeypatch):
     assert report["max_radiance"] == pytest.approx(3)
     assert report["size"] == [2, 2, 2]
     assert (report["emitters"], report["triangles"], report["has_media"]) == (1, 0, False)
-    assert report["paths_per_second"] > 0
     assert report["faults"] == []
     assert [item["path_depth"] for item in report["bounces"]] == [32, 64, 128]
 
@@ -360,6 +369,18 @@ def test_render_places_several(capsys, folder):
     with open("report.json") as file:
         assert json.load(file)["resolution"] == [60, 40]
     assert capsys.readouterr().err == ""
+
+
+def test_placed_lamps_have_parts_and_arrays():
+    arguments = ["render", "room.xml", "-o", "a.png", "--place", "lamp.xml", "--keep", "ball"]
+    arguments += ["--place", "model.obj", "--keep", "a", "--drop", "b*", "--keep", "c"]
+    arguments += ["--at", "1,2,3", "--grid", "2x2", "--pitch", "-1,0.5"]
+    parsed = _parsed(arguments)
+    assert parsed is not None
+    first, second = _places(parsed[1])
+    assert first == lumitree.Placement(LuminaireSource("lamp.xml", keep=("ball",)))
+    source = LuminaireSource("model.obj", keep=("a", "c"), drop=("b*",))
+    assert second == lumitree.Placement(source, (1, 2, 3), grid=(2, 2), pitch=(-1, 0.5))
 
 
 def test_render_warns_of_what_is_inside_a_box_and_not_lit(capsys, folder):

@@ -17,13 +17,13 @@ from benchmarks.exported_files.usd import (
 )
 from lumitree.asset.materials import Mask
 from lumitree.cli import main
-from lumitree.core.frames import similarity
+from lumitree.core.frames import rows_of, similarity
 from lumitree.errors import LumitreeError
 from lumitree.exports.point_lights import turn_up
 from lumitree.exports.surfaces import geometry_meshes
 from support.every_material import MATERIALS, TEXTURE, every_material
 from support.exported_lamps import lamp
-from support.geometry_assets import matrix, small_geometry, with_geometry
+from support.geometry_assets import small_geometry, with_geometry
 
 pytestmark = pytest.mark.usefixtures("mi")
 
@@ -41,23 +41,23 @@ def meshes_of(pxr, stage):
 
 
 def flux_of(prim, lumens):
-    """Flux [3] of R, G and B, W, as the schema of UsdLux has it: see `output.usd.lights`."""
+    """Flux [3] of R, G and B, W, as the schema of UsdLux has it: see `exports.usd`."""
     assert prim.GetAttribute("inputs:normalize").Get() is True
     return luminous_intensity(prim) * lumens / 683
 
 
 def problems(stage_path):
-    """What the validators that are part of OpenUSD find.
+    """Problems found by the validators that are part of OpenUSD.
 
     The package usd-core has no definitions of the nodes of MaterialX, which OpenUSD can be built
     with; that one is missing is not a problem.
     """
     validation = pytest.importorskip("pxr.UsdValidation", reason="this OpenUSD has no validators")
-    from pxr import Usd
+    usd = pytest.importorskip("pxr.Usd")
 
     registry = validation.ValidationRegistry()
     context = validation.ValidationContext(registry.GetOrLoadAllValidators())
-    stage = Usd.Stage.Open(str(stage_path))
+    stage = usd.Stage.Open(str(stage_path))
     found = context.Validate(stage)
     errors = [f"{each.GetName()}: {each.GetMessage()}" for each in found]
     return [each for each in errors if "'ND_standard_surface_surfaceshader'" not in each]
@@ -139,7 +139,7 @@ def test_materials_have_the_numbers_of_the_lamp(pxr, tmp_path):
     emitted = surface_input(pxr, metal, "emissiveColor").Get()
     np.testing.assert_allclose(emitted, 683 * np.array([3, 2, 1]), rtol=1e-6)
     assert surface_input(pxr, glass, "ior").Get() == pytest.approx(1.5, abs=1e-3)
-    # What a smooth surface of glass reflects straight back.
+    # The reflectance of smooth glass at normal incidence.
     assert surface_input(pxr, glass, "opacity").Get() == pytest.approx(0.04, abs=1e-3)
     image = surface_input(pxr, textured, "diffuseColor").GetConnectedSources()[0][0].source
     path = pxr.UsdShade.Shader(image).GetInput("file").Get().resolvedPath
@@ -168,7 +168,7 @@ def test_the_variant_off_shows_no_emission(pxr, tmp_path):
 @pytest.mark.parametrize("suffix", [".usda", ".usdz"])
 def test_the_validators_of_usd_find_nothing(pxr, tmp_path, suffix):
     geometry = every_material()
-    to_uv = matrix(np.diag([2.0, 3, 1, 1]))
+    to_uv = rows_of(np.diag([2.0, 3, 1, 1]))
     moved = dataclasses.replace(TEXTURE, to_uv=to_uv, filter_type="nearest")
     masked = Mask(opacity=moved, nested=(MATERIALS[1],))
     shape = dataclasses.replace(geometry.shapes[0], material=len(MATERIALS))

@@ -1,5 +1,6 @@
 """TOML files of placements, and the luminous flux and colour of a placed lamp."""
 
+# pyright: reportArgumentType=false
 import dataclasses
 
 import numpy as np
@@ -45,6 +46,37 @@ def test_damaged_files_are_refused_or_read(tmp_path, mi):
         path.write_bytes(damaged(PLACEMENTS.encode(), rng))
         outcomes.add(refused(check))
     assert outcomes == {True, False}
+
+
+def test_an_array_is_a_lamp_at_each_of_its_places(tmp_path):
+    text = "[lamps.hall]\nasset = 'a.lumitree'\nat = [1, 2, 3]\ngrid = [3, 2]\npitch = [2, 1]"
+    (tmp_path / "lights.toml").write_text(text)
+    (array,) = lumitree.read_placements(tmp_path / "lights.toml")
+    lamps = array.each()
+    assert [lamp.at for lamp in lamps] == [
+        *[(-1, 2, 2.5), (1, 2, 2.5), (3, 2, 2.5)],
+        *[(-1, 2, 3.5), (1, 2, 3.5), (3, 2, 3.5)],
+    ]
+    assert {(lamp.label, lamp.grid, lamp.pitch) for lamp in lamps} == {("hall", None, None)}
+    assert lamps[0].each() == [lamps[0]]
+    upright = dataclasses.replace(array, grid=(1, 2, 1), pitch=(9.0, 3.0, 9.0))
+    assert [lamp.at for lamp in upright.each()] == [(1, 0.5, 3), (1, 3.5, 3)]
+
+
+@pytest.mark.parametrize(
+    ("grid", "pitch", "message"),
+    [
+        ((3, 2), None, "pitch is None; expected 2 distances"),
+        (None, (1, 2), "grid is None; expected 2 or 3 whole numbers"),
+        ((3, 0), (1, 2), r"grid is \(3, 0\)"),
+        ((1000, 1000), (1, 2), "of 10,000 lamps at most"),
+        ((3, 2, 1), (1, 2), "expected 3 distances"),
+        ((3, 2), (1, np.nan), "expected 2 distances"),
+    ],
+)
+def test_unusable_arrays_are_refused(grid, pitch, message):
+    with pytest.raises(LumitreeError, match=message):
+        lumitree.Placement("a.lumitree", (0, 0, 0), grid=grid, pitch=pitch)
 
 
 @pytest.mark.parametrize(
@@ -123,7 +155,7 @@ def test_a_placed_lamp_has_the_lumens_and_the_colour(mi, asset, size):
     options = {"size": size, "lumens": 800, "temperature": 2700}
     watts, errors = placed_flux(mi, lumitree.Placement(asset, **options))
     lumens = float(luminance(watts))
-    # Of a field, the flux is an estimate too, of about as many rays.
+    # The flux of a field is an estimate too, by about as many rays.
     tolerance = 5 * np.sqrt(2) * float(luminance(errors))
     assert abs(lumens - 800) < tolerance
     assert tolerance < 20

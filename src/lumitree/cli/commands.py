@@ -123,6 +123,8 @@ _READING = {
         TEXTS, "Leave the shapes or parts that match the pattern away; may be repeated."
     ),
 }
+# Options that may be given several times for one lamp.
+_REPEATED = ("keep", "drop")
 _WORKERS = {
     "workers": Option(int, "Number of processes that share the work. Default: this one."),
     "scheduler": Option(
@@ -182,6 +184,11 @@ def group_options(begin: str) -> dict[str, Option]:
     }
     begins = Parameter(converter=each_text, completer=lamps if begin == "place" else None)
     option = Option(Annotated[list[Path], begins, group], found.pop(first).help)
+    if begin == "place":
+        found |= {
+            name: dataclasses.replace(each, type=Annotated[each.type, group])
+            for name, each in _READING.items()
+        }
     return {begin: option, **found}
 
 
@@ -192,9 +199,11 @@ def join_groups(command: str, arguments: Sequence[str]) -> list[str]:
     """
     groups = {"render": ("place",), "illuminance": ("place", "plane", "surface")}.get(command, ())
     fields = {begin: options_of(GROUPS[begin][0]).keys() - {GROUPS[begin][1]} for begin in groups}
-    joined: list[str | dict[str, str]] = []
+    if "place" in fields:
+        fields["place"] |= _READING.keys()
+    joined: list[str | dict[str, Any]] = []
     # The group to which an option belongs that comes now.
-    latest: dict[str, dict[str, str]] = {}
+    latest: dict[str, dict[str, Any]] = {}
     rest = iter(arguments)
     for argument in rest:
         name, equals, value = argument.removeprefix("--").partition("=")
@@ -209,6 +218,8 @@ def join_groups(command: str, arguments: Sequence[str]) -> list[str]:
             latest |= dict.fromkeys(fields[name], group)
         elif name not in latest:
             raise LumitreeError(f"--{name} comes before any {' or '.join(owners)}")
+        elif name in _REPEATED:
+            latest[name].setdefault(name, []).append(value)
         elif name in latest[name]:
             first = next(iter(latest[name].values()))
             raise LumitreeError(f"--{name} is given twice for {shown(first)}")
@@ -220,13 +231,19 @@ def join_groups(command: str, arguments: Sequence[str]) -> list[str]:
 def _grouped(begin: str, given: Given) -> list[Any]:
     """The objects of the groups of one kind, which it takes from the arguments."""
     import lumitree
+    from lumitree.lamp.source import LuminaireSource
 
-    kind, found = GROUPS[begin][0], []
+    (kind, first), found = GROUPS[begin], []
     for text in given.pop(begin, ()):
-        values = {
-            name: convert(name, options_of(kind)[name], value)
-            for name, value in json.loads(text).items()
+        values = json.loads(text)
+        reading = {
+            name: values.pop(name) for name in _READING if begin == "place" and name in values
         }
+        values = {
+            name: convert(name, options_of(kind)[name], value) for name, value in values.items()
+        }
+        if reading:
+            values[first] = LuminaireSource(values[first], **reading)
         found.append(getattr(lumitree, kind)(**values))
     return found
 
@@ -522,7 +539,7 @@ def _show_demo(result: Given, given: Given) -> None:
 
 
 # Options of how a photograph is taken.
-_SHOWN = ("exposure", "white_balance", "view")
+_SHOWN = ("exposure", "white_balance", "view", "bloom")
 _IMAGE = _file("Image to write: .exr, linear radiance; or .png, as --view shows it.", "-o", NEEDED)
 
 

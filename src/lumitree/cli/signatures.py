@@ -182,6 +182,10 @@ def _option_type(name: str, annotation: ast.expr, module: str) -> Any:
     alias = "-o" if name == "output" else ()
     if name == "time":
         return Annotated[float | None, Parameter(converter=one(duration), metavar="T")]
+    if name == "grid":
+        return Annotated[tuple[int, ...] | None, Parameter(converter=one(grid), metavar="3x2")]
+    if name == "pitch":
+        return vector(2, 3)
     if name == "parts":
         return Annotated[tuple[str, ...] | None, Parameter(converter=one(parts), n_tokens=1)]
     if "LuminaireLike" in text or "Asset" in text:
@@ -284,6 +288,14 @@ TEXTS = Annotated[list[str], Parameter(converter=each_text)]
 def parts(text: str) -> tuple[str, ...]:
     """Parts of an asset, separated by commas; "all" for all."""
     return ("light", "field", "geometry") if text == "all" else tuple(text.split(","))
+
+
+def grid(text: str) -> tuple[int, ...]:
+    """Whole numbers that are separated by "x"."""
+    counts = text.lower().split("x")
+    if not all(map(str.isdecimal, counts)):
+        raise LumitreeError(f"grid is {text!r}; expected whole numbers such as 3x2")
+    return tuple(map(int, counts))
 
 
 def duration(text: str) -> float:

@@ -190,6 +190,7 @@ def illuminance(
         ("surfaces", surfaces, Surface),
     ):
         check_items(name, values, kind)
+    placements = [lamp for placement in placements for lamp in placement.each()]
     check_range("error", error, 1e-4, 1)
     if time is not None:
         check_range("time", time, 1e-3, 1e7)

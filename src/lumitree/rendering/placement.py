@@ -1,6 +1,8 @@
 """Where luminaires go in a scene, and the TOML file of placements."""
 
 import dataclasses
+import itertools
+import math
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -8,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from lumitree.asset.asset import Asset
 from lumitree.core.arguments import check_gain, check_light
 from lumitree.core.frames import check_placement
-from lumitree.core.toml_file import converted, read_toml
+from lumitree.core.tables import converted, read_toml
 from lumitree.errors import LumitreeError, explained, shown
 from lumitree.lamp.builtin import BUILTIN
 from lumitree.lamp.source import source_kind
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
     from lumitree.lamp.luminaire import LuminaireLike
 
 
+_MAX_ARRAY = 10_000
 _Numbers3 = tuple[float, float, float]
 
 
@@ -43,10 +46,13 @@ class Placement:
             luminous flux stays. For an asset only. Default: the colour of the asset.
         label: name of this placement in layers; default: file name without ending, made unique by
             a number.
+        grid: numbers of equal lamps in an array around `at`, along x and z of the scene, or along
+            x, y and z; together up to 10,000.
+        pitch: distance between their centres in the same directions, scene units.
 
     Raises:
-        LumitreeError: a number is out of range, or there is a gain, a luminous flux or a
-            temperature for explicit geometry.
+        LumitreeError: a number is out of range; there is a gain, a luminous flux or a temperature
+            for explicit geometry; or `grid` is without `at` or `pitch`.
     """
 
     source: "Asset | LuminaireLike"
@@ -57,6 +63,8 @@ class Placement:
     lumens: float | None = None
     temperature: float | None = None
     label: str | None = None
+    grid: tuple[int, int] | tuple[int, int, int] | None = None
+    pitch: tuple[float, float] | tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
         check_placement(self.at, self.size, self.rotate)
@@ -72,6 +80,40 @@ class Placement:
                     f"{self.name} has {name} of {value:g}, but is placed as explicit geometry; "
                     "bake it first, or change its emitters"
                 )
+
+        if (self.grid, self.pitch) != (None, None):
+            self._check_array()
+
+    def _check_array(self) -> None:
+        grid, pitch = self.grid or (), self.pitch or ()
+        sizes = all(isinstance(each, int) and each >= 1 for each in grid)
+        if not (2 <= len(grid) <= 3 and sizes and math.prod(grid) <= _MAX_ARRAY):
+            raise LumitreeError(
+                f"grid is {shown(self.grid, 60)}; expected 2 or 3 whole numbers from 1 on, of "
+                f"{_MAX_ARRAY:,} lamps at most, such as 3x2"
+            )
+        if len(pitch) != len(grid) or not all(map(math.isfinite, pitch)):
+            raise LumitreeError(
+                f"pitch is {shown(self.pitch, 60)}; expected {len(grid)} distances, one for each "
+                "number of the grid"
+            )
+        if self.at is None:
+            raise LumitreeError(f"{self.name} has a grid; say by at where its centre is")
+
+    def each(self) -> "list[Placement]":
+        """The lamps of the array, x first; the placement itself without one."""
+        if self.grid is None or self.pitch is None or self.at is None:
+            return [self]
+        axes = (0, 2) if len(self.grid) == 2 else (0, 1, 2)
+        places = []
+        for index in itertools.product(*map(range, reversed(self.grid))):
+            at = list(self.at)
+            for axis, place, count, step in zip(
+                axes, reversed(index), self.grid, self.pitch, strict=True
+            ):
+                at[axis] += step * (place - (count - 1) / 2)
+            places.append((at[0], at[1], at[2]))
+        return [dataclasses.replace(self, at=at, grid=None, pitch=None) for at in places]
 
     @property
     def is_baked(self) -> bool:
@@ -97,6 +139,8 @@ class _Lamp:
     gain: float | _Numbers3 = 1.0
     lumens: float | None = None
     temperature: float | None = None
+    grid: tuple[int, int] | tuple[int, int, int] | None = None
+    pitch: tuple[float, float] | _Numbers3 | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -109,8 +153,8 @@ def read_placements(path: str | os.PathLike[str]) -> list[Placement]:
     """Read placements from a TOML file, with a table `[lamps.NAME]` for each lamp.
 
     Its keys are `asset`, a file relative to the TOML file, or the name of a built-in luminaire;
-    and `at`, `size`, `rotate`, `gain`, `lumens` and `temperature`, as the attributes of
-    `Placement`. NAME becomes `Placement.label`.
+    and `at`, `size`, `rotate`, `gain`, `lumens`, `temperature`, `grid` and `pitch`, as the
+    attributes of `Placement`. NAME becomes `Placement.label`.
 
     Args:
         path: path of the TOML file.
