@@ -22,23 +22,23 @@ LINES = {
     "exports": 3_600,
     "fit": 5_900,
     "formats": 4_100,
-    "lamp": 10_650,
+    "lamp": 10_500,
     "many": 600,
     "measure": 5_120,
     "octree": 1_050,
-    "rendering": 9_300,
+    "rendering": 9_420,
     "trace": 1_900,
     "viewer": 1_250,
 }
 FILES = 216
 OTHERS = {
     "lines of tests": 42_100,
-    "lines of benchmarks": 9_800,
+    "lines of benchmarks": 9_850,
     "words of docs by hand": 45_000,
     "lines of README.md": 90,
-    "files that use the word gain": 22,
-    "lines with Any": 480,
-    "private functions used once": 370,
+    "files that use the word gain": 12,
+    "lines with Any": 415,
+    "private functions used once": 360,
 }
 
 

@@ -21,13 +21,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter
 
 from lumitree.core.alias_table import alias_row
 from lumitree.core.device import on_device, parameter
@@ -236,6 +234,9 @@ def _largest_around(mean: NDArray[np.float64], side: int) -> NDArray[np.float64]
     """Largest mean of each cell of one shape and of its neighbours; 0 where there are none."""
     if side == 1:
         return np.zeros_like(mean)
+    # Few lamps need it, and it takes as long to import as all else here.
+    from scipy.ndimage import maximum_filter
+
     return maximum_filter(mean.reshape(-1, side, side), (1, 3, 3)).ravel()
 
 
@@ -256,7 +257,7 @@ def _areas(shape: mi.Shape) -> NDArray[np.float64]:
     return np.linalg.norm(np.cross(*np.moveaxis(corners[:, 1:] - corners[:, :1], 1, 0)), axis=1) / 2
 
 
-def replace_textured_areas(state: Any) -> None:
+def replace_textured_areas(state: mi.parser.ParserState) -> None:
     """Let area emitters with a texture in a mi.parser.ParserState be emitters `lumitree_area`."""
     for node in state.nodes:
         props = node.props

@@ -55,7 +55,7 @@ _LARGEST_RMS = 0.1
 _FEW_CELLS, _FAR = 20, 0.5
 # Camera paths of the comparison of flux. Before it warns, both fluxes are estimated again by other
 # and more paths: one lamp in some hundreds differs randomly.
-_CAMERA_PATHS, _PATHS_AGAIN = 1 << 20, 1 << 22
+_CAMERA_PATHS, _PATHS_AGAIN = 1 << 18, 1 << 22
 # The fluxes differ if they do so by more standard errors than this, and by more than this part.
 _ERRORS, _PART = 3, 0.02
 # Hits of an emitter from which on the standard error of camera paths is known.
@@ -178,7 +178,7 @@ def check_irradiance_paths(paths: int) -> None:
 def measure_irradiance(
     asset: Asset, luminaire: "Luminaire", num_paths: int, watch: Stopwatch
 ) -> Json | None:
-    """Compare the irradiance around an asset, without its gain, and around its luminaire.
+    """Compare the irradiance around an asset, without its factors, and around its luminaire.
 
     Warns of a large error, and of fluxes of the luminaire that differ.
 

@@ -23,7 +23,7 @@ from lumitree.core.results import Stopwatch
 from lumitree.core.seeds import check_seed
 from lumitree.errors import LumitreeError, explained
 from lumitree.rendering.image import SavedImage
-from lumitree.rendering.photograph import PhotoSettings
+from lumitree.rendering.photograph import Highlights, PhotoSettings
 from lumitree.rendering.placement import Placement
 from lumitree.rendering.render_job import Described, RenderJob, renderer_of
 from lumitree.rendering.view_transform import View
@@ -64,6 +64,8 @@ class RenderResult(SavedImage):
             specular, times the throughput up to it; None without `layers`, `aov` and `denoise`.
         normals: float32 [height, width, 3], shading normal of this surface in the frame of the
             scene; None as `albedo`.
+        highlights: light of emitters that the camera sees, a part of `pixels`; None in spectral
+            variants and for integrators other than `lumitree_path`.
         camera: where the camera stands and looks; None if it is not a perspective one, or its
             axis is not at the centre of the image.
     """
@@ -76,6 +78,7 @@ class RenderResult(SavedImage):
     noisy: NDArray[np.float32] | None = dataclasses.field(default=None, repr=False)
     albedo: NDArray[np.float32] | None = dataclasses.field(default=None, repr=False)
     normals: NDArray[np.float32] | None = dataclasses.field(default=None, repr=False)
+    highlights: Highlights | None = dataclasses.field(default=None, repr=False)
     camera: "CameraView | None" = dataclasses.field(default=None, repr=False)
 
     @explained
@@ -130,6 +133,7 @@ def render(
     exposure: float | str = 0.0,
     white_balance: float | str = "auto",
     view: View = "agx",
+    bloom: float = 0.06,
     so_far: "Callable[[RenderResult], None] | None" = None,
     work: FilePath | None = None,
     seed: int = 0,
@@ -173,6 +177,7 @@ def render(
             temperature of a light that is to be white, K, 1000 to 20,000; or "off".
         view: view transform of `png`: "agx", in which bright colours approach white slowly; or
             "srgb", which clips them, for measuring.
+        bloom: share of the light of `png` that is scattered as in a lens or an eye, 0 to 1.
         so_far: function that is called with the image so far, without layers and before denoising,
             after the first pass and then every two seconds or more.
         work: folder in which the passes so far are kept every half minute, and at the end. The same
@@ -204,7 +209,7 @@ def render(
     check_items("placements", placements, Placement)
     placements = [lamp for placement in placements for lamp in placement.each()]
     check_seed(seed)
-    settings = PhotoSettings(exposure=exposure, white_balance=white_balance, view=view)
+    settings = PhotoSettings(exposure=exposure, white_balance=white_balance, view=view, bloom=bloom)
     metres = metres_of(unit)
     check_executor(executor)
     mi = load_mitsuba(variant)
@@ -222,7 +227,8 @@ def render(
     def result(
         rendering: "Rendering", pixels: NDArray[np.float32], filtered: bool, **parts: Any
     ) -> RenderResult:
-        photograph = settings.photograph(pixels, albedo=parts.get("albedo"))
+        highlights = job.highlights(rendering)
+        photograph = settings.photograph(pixels, albedo=parts.get("albedo"), highlights=highlights)
         comment = image_settings(
             "render",
             scene=Path(scene).name if isinstance(scene, str | os.PathLike) else None,
@@ -246,6 +252,7 @@ def render(
             spp=rendering.spp,
             noise=rendering.noise,
             mean_radiance=float(pixels.mean()),
+            highlights=highlights,
             camera=job.camera,
             png=encode_png(photograph.pixels, comment),
             **parts,
