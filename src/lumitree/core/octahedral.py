@@ -22,12 +22,14 @@ from __future__ import annotations
 
 import functools
 import math
-from typing import Any
+from typing import TypeVar
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
+
+Number = TypeVar("Number", bound=np.generic)
 
 
 def octahedral(direction: mi.Vector3f, bevels: int = 0) -> mi.Vector2f:
@@ -117,7 +119,7 @@ def direction_in_bin(
     return point / length, (resolution**2 / 4) * length**3 / solid
 
 
-def _bevelled(place: mi.Vector2f, resolution: int) -> tuple[mi.Float, ...]:
+def _bevelled(place: mi.Vector2f, resolution: int) -> tuple[mi.Float, mi.Float, mi.Float, mi.Float]:
     """Point of the bevelled octahedron of a place in positive coordinates, and its triple product.
 
     That is p · (∂p/∂u × ∂p/∂v), 0 where the map has no directions.
@@ -139,7 +141,9 @@ def _on_map(uv: mi.Vector2f) -> mi.Vector2f:
     return dr.select(dr.abs(uv.y) > 1, mi.Vector2f(-uv.x, dr.copysign(2, uv.y) - uv.y), uv)
 
 
-def interpolated(values: NDArray[Any], direction: NDArray[Any]) -> NDArray[np.float64]:
+def interpolated(
+    values: NDArray[np.floating], direction: NDArray[np.floating]
+) -> NDArray[np.float64]:
     """Values [N] in directions [N, 3], linear between the middles of bins.
 
     It is the mean of `bin_of` over an `offset` from -1/2 to 1/2.
@@ -211,7 +215,7 @@ def intensity_of_histogram(flux: NDArray[np.float64]) -> NDArray[np.float64]:
     return intensity
 
 
-def bordered(values: NDArray[Any], width: int) -> NDArray[Any]:
+def bordered(values: NDArray[Number], width: int) -> NDArray[Number]:
     """Values [R + 2 width, R + 2 width, ...] on the map and beyond its sides.
 
     Beyond a side of the map is the other half of the same side.
