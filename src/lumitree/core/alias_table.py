@@ -136,7 +136,7 @@ def _behind_0(rows: NDArray[Any]) -> NDArray[Any]:
 def _merged(
     first: NDArray[np.float64], second: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Of rows [M, N] in increasing order, how many of the other row are before each entry.
+    """How many entries of the other row are before each, for rows [M, N] in increasing order.
 
     The first row's entries are before equal ones of the second.
     """
