@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lumitree.core.reading import Record, label, parse_json, read_arrays, read_bytes
+from lumitree.core.reading import label, parse_json, read_arrays, read_bytes
 from lumitree.errors import LumitreeError
 
 
@@ -65,59 +65,6 @@ def test_json_is_parsed():
     assert parse_json('{"é": 1e2}'.encode()) == {"é": 100.0}
 
 
-def record(**members):
-    return Record(members, "the record")
-
-
-@pytest.mark.parametrize("value", [None, [], "x", 1, True])
-def test_only_an_object_is_a_record(value):
-    assert "expected a JSON object" in refusal(Record, value, "the record")
-    assert "expected a JSON object" in refusal(record(a=value).record, "a")
-
-
-def test_members_are_those_expected():
-    record(a=1, b=2).expect_keys("a", "b")
-    assert refusal(record(a=1).expect_keys, "a", "b") == 'the record lacks "b"'
-    message = refusal(record(a=1, **{"\x1b" * 500: 2}).expect_keys, "a")
-    assert message.startswith('the record has the unknown key "\\u001b')
-
-
-@pytest.mark.parametrize(
-    ("read", "arguments", "good", "bad"),
-    [
-        (Record.text, (3,), ["", "abc", "é"], ["abcd", "\n", "\x1b", "\ud800", 1, None, ["a"]]),
-        (Record.integer, (), [0, -5, 10**400], [1.0, True, "1", None, [1]]),
-        (Record.number, (), [0, 1.5, -1e300], [10**400, np.inf, True, "1", None, [1]]),
-        (Record.choice, ((1, 2),), [1, 2], [3, 1.0, True, "1", None, [1]]),
-        (Record.choice, (("a", "b"),), ["a", "b"], ["c", 1, None, ["a"], {}]),
-        (Record.integers, (), [[], [1, 2]], [1, "12", [True], [1.0], [[1]], None]),
-        (Record.items, (), [[], [1, "a"]], [1, "12", {}, None]),
-    ],
-)
-def test_members_are_of_the_type_expected(read, arguments, good, bad):
-    for value in good:
-        assert read(record(a=value), "a", *arguments) == value
-    for value in bad:
-        message = refusal(read, record(a=value), "a", *arguments)
-        assert message.startswith("a of the record is ")
-    assert "a of the record is null" in refusal(read, record(), "a", *arguments)
-
-
-def test_arrays_are_nested_lists_of_numbers():
-    assert np.array_equal(record(a=[1, 2.5]).array("a", 2), [1, 2.5])
-    assert record(a=[[1, 2], [3, 4], [5, 6]]).array("a", 3, 2).tolist() == [[1, 2], [3, 4], [5, 6]]
-    for bad in ([1], [1, 2, 3], [1, "2"], [1, True], [1, [2]], [1, 10**400], "12", 12, None):
-        assert "expected 2 numbers" in refusal(record(a=bad).array, "a", 2)
-    assert "expected 3 x 2 numbers" in refusal(record(a=[[1, 2], [3], [4, 5]]).array, "a", 3, 2)
-
-
-def test_versions_are_told_apart():
-    record(version=1, more=2).expect_version(1)
-    for version in (2, 1.0, "1", True, None):
-        assert "this lumitree reads 1" in refusal(record(version=version).expect_version, 1)
-    assert refusal(record().expect_version, 1).startswith("the record has version null")
-
-
 @pytest.mark.parametrize(
     ("name", "kept"),
     [
@@ -128,7 +75,6 @@ def test_versions_are_told_apart():
 )
 def test_labels_are_what_files_may_hold(name, kept):
     assert label(name) == kept
-    assert record(name=label(name)).label("name") == kept
 
 
 def test_arrays_are_read(tmp_path):

@@ -8,11 +8,10 @@ import pytest
 
 from lumitree.asset.geometry import Medium, MeshShape, UnitShape
 from lumitree.asset.materials import PLUGINS, Conductor, NormalMap
-from lumitree.core.frames import similarity
+from lumitree.core.frames import rows_of, similarity
 from lumitree.exports.surfaces import LOST_MIRRORED, geometry_meshes, mirrored_share
 from support.every_material import DIFFUSE, MATERIALS, TEXTURE, every_material
 from support.geometry_assets import NOTHING, small_geometry
-from support.geometry_assets import matrix as as_matrix
 
 pytestmark = pytest.mark.usefixtures("mi")
 
@@ -126,7 +125,7 @@ def test_coordinates_of_a_texture_are_mapped():
 
     matrix = np.eye(4)
     matrix[:2, [0, 1, 3]] = [[1, 2, 3], [4, 5, 6]]
-    tree = texture(replace(TEXTURE, to_uv=as_matrix(matrix)))
+    tree = texture(replace(TEXTURE, to_uv=rows_of(matrix)))
     vector = tree["inputs"]["Vector"]
     rows = [vector["inputs"][axis]["inputs"][1] for axis in (0, 1)]
     # From 1 - v to 1 - v'.
@@ -147,7 +146,7 @@ def test_analytic_shapes_become_meshes_whose_faces_turn_as_the_normals(
 
     matrix = np.diag([2.0, 2, 2 * mirrored, 1])
     matrix[:3, 3] = [0.1, 0.2, 0.3]
-    shape = UnitShape(type=kind, to_world=as_matrix(matrix), material=0, flipped=flipped)
+    shape = UnitShape(type=kind, to_world=rows_of(matrix), material=0, flipped=flipped)
     (mesh,) = geometry_meshes(
         small_geometry(
             shapes=(shape,), materials=(DIFFUSE,),

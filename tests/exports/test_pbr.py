@@ -15,10 +15,11 @@ from lumitree.asset.materials import (
     RoughPlastic,
     ThinDielectric,
 )
+from lumitree.core.frames import rows_of
 from lumitree.core.images import linear_from_srgb
 from lumitree.exports.surfaces import PbrImages
 from support.every_material import MATERIALS, TEXTURE, every_material
-from support.geometry_assets import IDENTITY, matrix, small_geometry, with_geometry
+from support.geometry_assets import IDENTITY, small_geometry, with_geometry
 from support.gltf_builder import sphere
 
 pytestmark = pytest.mark.usefixtures("mi")
@@ -113,7 +114,7 @@ def test_colours_of_images_are_encoded_by_srgb():
 def test_surfaces_have_coordinates_for_each_map_of_a_texture():
     from lumitree.exports.surfaces import surfaces_of
 
-    to_uv = matrix([[0, 2, 0, 0.5], [1, 0, 0, 0], *IDENTITY[2:]])
+    to_uv = rows_of([[0, 2, 0, 0.5], [1, 0, 0, 0], *IDENTITY[2:]])
     turned = dataclasses.replace(TEXTURE, to_uv=to_uv)
     material = Principled(base_color=TEXTURE, roughness=turned)
     geometry = small_geometry()

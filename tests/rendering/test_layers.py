@@ -368,3 +368,31 @@ def test_long_labels_are_cut_to_what_a_file_holds(room, lamps, tmp_path):
     render(room, long, spp=1, layers=True).save_layers(tmp_path / "layers.exr")
     layers = read_exr(tmp_path / "layers.exr")
     assert sorted(layers) == ["room", "ä" * 100, "ä" * 100 + "_2"]
+
+
+@pytest.mark.parametrize("by_lamp", [None, False])
+def test_lamps_that_are_seen_are_recorded_with_their_squares(mi, by_lamp):
+    """So the radiance of an emitter is known in pixels that it covers in part."""
+    from lumitree.rendering.passes import Budget
+    from lumitree.rendering.render_job import Described, RenderJob
+
+    turned = mi.ScalarTransform4f().translate([0, 0, 9]).rotate([1, 0, 0], 180).scale(9)
+    film = {"type": "hdrfilm", "width": 16, "height": 12, "rfilter": {"type": "box"}}
+    emitter = {"type": "area", "radiance": {"type": "rgb", "value": [3, 2, 1]}}
+    described = {
+        "type": "scene",
+        "integrator": {"type": "lumitree_path"},
+        "lamp": {"type": "sphere", "center": [0, 0, 5], "emitter": emitter},
+        "wall": {"type": "rectangle", "to_world": turned},
+        "sensor": {"type": "perspective", "film": film},
+    }
+    job = RenderJob(Described(described, (), None, 1.0, True, by_lamp))
+    rendering, _ = job.rendered(Budget(16), 0, None, None, None)
+    found = job.highlights(rendering)
+    assert found is not None
+    grey = found.seen.mean(axis=-1)
+    assert 0 < (grey > 0).mean() < 0.5
+    partly = (grey > 0) & (grey < 1.9)
+    assert partly.any()
+    assert found.square[grey > 0] / grey[grey > 0] == pytest.approx(2, rel=1e-5)
+    assert (rendering.radiance >= found.seen - 1e-6).all()

@@ -7,8 +7,10 @@ from lumitree.core.images import auto_exposure, tonemap
 from lumitree.core.photometry import blackbody_colour, luminance, xyz_from_srgb
 from lumitree.errors import LumitreeError
 from lumitree.rendering.photograph import (
+    Highlights,
     PhotoSettings,
     automatic_ev,
+    bloomed,
     ev_of_white,
     light_on_scene,
     white_radiance,
@@ -16,8 +18,8 @@ from lumitree.rendering.photograph import (
 
 
 def plain(exposure: float | str = 0.0):
-    """Settings without white balance and view transform."""
-    return PhotoSettings(exposure=exposure, white_balance="off", view="srgb")
+    """Settings without white balance, view transform and bloom."""
+    return PhotoSettings(exposure=exposure, white_balance="off", view="srgb", bloom=0)
 
 
 @pytest.fixture
@@ -97,7 +99,7 @@ def test_grey_under_a_lamp_comes_closer_to_grey(mi, temperature):
     assert xyz_from_srgb(adapted) == pytest.approx(
         xyz_from_srgb(0.7 * neutral + 0.3 * grey), rel=1e-4
     )
-    given = PhotoSettings(exposure="ev=9", white_balance=temperature, view="srgb")
+    given = PhotoSettings(exposure="ev=9", white_balance=temperature, view="srgb", bloom=0)
     pixel = given.photograph(np.full((8, 8, 3), grey)).pixels[0, 0].astype(int)
     assert np.ptp(pixel) <= 1
 
@@ -133,8 +135,61 @@ def test_coloured_light_keeps_its_colour(mi):
         ({"white_balance": "warm"}, "white_balance is 'warm'; expected auto, off or"),
         ({"white_balance": 900.0}, r"white_balance is 900.0; expected 1,000.0 to 20,000.0 K"),
         ({"view": "neon"}, "expected agx, srgb"),
+        ({"bloom": 1.5}, "bloom is 1.5; expected 0 to 1"),
     ],
 )
 def test_settings_are_checked(settings, message):
     with pytest.raises(LumitreeError, match=message):
         PhotoSettings(**settings)
+
+
+def filament(shares, level=1000.0, samples=4096):
+    """Radiance and highlights of a row of pixels that an emitter covers to these shares."""
+    covered = np.random.default_rng(0).random((1, len(shares), samples)) < np.array(shares)[:, None]
+    light = np.where(covered, level, 0.0)
+    seen = np.repeat(light.mean(-1)[..., None], 3, -1)
+    return seen, Highlights(seen, (light**2).mean(-1))
+
+
+def test_a_filament_is_clamped_before_pixels_are_averaged():
+    shares = [0.0, 0.25, 0.5, 1.0, 1.0]
+    seen, highlights = filament(shares)
+    bright, clamped = highlights.divide(10.0)
+    assert np.array_equal(bright, seen)
+    assert clamped[0, :, 0] == pytest.approx(10 * np.array(shares), abs=0.25)
+    # What is not brighter stays.
+    bright, clamped = highlights.divide(2000.0)
+    assert not bright.any()
+    assert not clamped.any()
+
+
+def test_the_edge_of_a_filament_is_no_staircase():
+    """It is smooth in a photograph; without knowledge of its cover it would be white at once."""
+    seen, highlights = filament(np.tile([0, 0, 0.02, 1, 1, 0.02, 0, 0], (9, 1))[0])
+    settings = PhotoSettings(exposure=f"ev={ev_of_white(1.0)}", white_balance="off", bloom=0)
+    shown = settings.photograph(seen, highlights=highlights).pixels[0, :, 0]
+    assert shown[1] < 100 < shown[2] < 215 < 240 < shown[3]
+    assert settings.photograph(seen).pixels[0, 2, 0] > 240
+
+
+def test_other_light_of_the_pixels_of_a_filament_stays():
+    seen, highlights = filament([0.0, 1.0, 0.0])
+    settings = PhotoSettings(exposure="ev=0", white_balance="off", view="srgb", bloom=0)
+    wall = np.full_like(seen, 0.4 * white_radiance(0))
+    pixels = settings.photograph(seen + wall, highlights=highlights).pixels
+    dark = settings.photograph(np.zeros_like(seen), highlights=filament([0, 0, 0])[1]).pixels
+    assert (pixels[0, 1] == 255).all()
+    assert not dark.any()
+
+
+@pytest.mark.parametrize("shape", [(48, 64), (33, 17)])
+def test_bloom_keeps_the_light(shape):
+    image = np.random.default_rng(0).uniform(0, 0.1, (*shape, 3))
+    image[0, 3] = image[20, 10] = 10.0
+    shown = bloomed(image, 0.2)
+    assert shown.sum(axis=(0, 1)) == pytest.approx(image.sum(axis=(0, 1)), rel=1e-9)
+    assert shown[20, 10, 0] < 9.5
+    assert shown[20, 12, 0] > image[20, 12, 0]
+    assert np.array_equal(bloomed(image, 0), image)
+    # Uniform light is not changed.
+    assert bloomed(np.ones_like(image), 0.2) == pytest.approx(1)

@@ -243,8 +243,9 @@ def test_images_state_exposure_and_view(mi, room, tmp_path):
     assert np.mean(decoded(again)) > 1.2 * np.mean(decoded(found))
     with pytest.raises(LumitreeError, match="exposure is 41; expected"):
         render(room, exposure=41)
-    other = render(room, white_balance="off")
-    assert json.loads(other.settings)["white_balance"] == "off"
+    other = render(room, white_balance="off", exposure=2.0, bloom=0.5)
+    given = json.loads(other.settings)
+    assert (given["white_balance"], given["bloom"]) == ("off", 0.5)
     assert_similar(other.pixels, found.pixels)
     assert (decoded(other) != decoded(found)).any()
 

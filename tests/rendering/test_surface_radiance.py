@@ -7,8 +7,8 @@ import pytest
 
 from lumitree.asset.geometry import UnitShape
 from lumitree.asset.materials import Diffuse
-from lumitree.core.frames import LocalFrame
-from support.geometry_assets import NOTHING, matrix, small_geometry, with_geometry
+from lumitree.core.frames import LocalFrame, rows_of
+from support.geometry_assets import NOTHING, small_geometry, with_geometry
 
 
 def plate_below_a_sphere(gain=(1.0, 1.0, 1.0)):
@@ -17,11 +17,11 @@ def plate_below_a_sphere(gain=(1.0, 1.0, 1.0)):
     shapes = (
         UnitShape(
             type="sphere",
-            to_world=matrix(np.diag([0.1, 0.1, 0.1, 1])),
+            to_world=rows_of(np.diag([0.1, 0.1, 0.1, 1])),
             material=1,
             radiance=(3.0, 2, 1),
         ),
-        UnitShape(type="rectangle", to_world=matrix(plate), material=0),
+        UnitShape(type="rectangle", to_world=rows_of(plate), material=0),
     )
     materials = (Diffuse(reflectance=0.4), Diffuse(reflectance=0.0))
     geometry = small_geometry(shapes=shapes, materials=materials, **NOTHING)

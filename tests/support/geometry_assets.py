@@ -14,16 +14,10 @@ from lumitree.asset.materials import (
     Texture,
     TwoSided,
 )
-from lumitree.core.frames import LocalFrame
+from lumitree.core.frames import LocalFrame, rows_of
 from support.light_fields import random_light_field
 
-
-def matrix(values):
-    """A matrix as shapes and textures have it."""
-    return tuple(map(tuple, np.asarray(values, float).tolist()))
-
-
-IDENTITY = matrix(np.eye(4))
+IDENTITY = rows_of(np.eye(4))
 TEXTURE = Texture(image=1, raw=False, filter_type="bilinear", wrap_mode="repeat", to_uv=IDENTITY)
 # Members of a geometry without meshes and images.
 NOTHING = {
@@ -52,10 +46,10 @@ def small_geometry(**changes) -> AssetGeometry:
         ),
         "shapes": (
             MeshShape(material=0, vertices=4, faces=4, normals=True, texcoords=True, colours=True),
-            MeshShape(material=1, radiance=(3.0, 2, 1), vertices=4, faces=4),
+            MeshShape(material=1, radiance=(3.0, 2.0, 1.0), vertices=4, faces=4),
             UnitShape(
                 type="sphere",
-                to_world=matrix(np.diag([0.2, 0.2, 0.2, 1])),
+                to_world=rows_of(np.diag([0.2, 0.2, 0.2, 1])),
                 material=2,
                 radiance=2.5,
                 flipped=True,

@@ -20,8 +20,8 @@ from lumitree.asset.materials import (
     make_material,
     parameter_kinds,
 )
+from lumitree.core.frames import rows_of
 from lumitree.errors import LumitreeError
-from support.geometry_assets import matrix
 
 RANDOM = np.random.default_rng(0)
 IMAGES = (
@@ -37,7 +37,7 @@ FAR, FARTHER = 3.5e4, 1e4
 
 
 def texture(image, raw=True, scale=3.0, filter_type="bilinear", wrap_mode="repeat"):
-    to_uv = matrix(np.diag([scale, scale, 1, 1]))
+    to_uv = rows_of(np.diag([scale, scale, 1, 1]))
     return Texture(image=image, raw=raw, filter_type=filter_type, wrap_mode=wrap_mode, to_uv=to_uv)
 
 

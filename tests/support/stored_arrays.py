@@ -4,6 +4,7 @@ import json
 
 from lumitree.asset import field_file, geometry_file, light_field_file
 from lumitree.asset.array_stream import compressed, decompressed
+from lumitree.core.tables import converted
 
 
 def change_field_arrays(tensors, asset, change):
@@ -25,6 +26,7 @@ def change_light_arrays(tensors, field, change):
         field: the light field that the file holds; names of its light inside begin with "inside.".
     """
     _, description = light_field_file.stored_light_field(field)
+    description = converted(description, light_field_file.LightDescription)
     _change(tensors, "light.stream", light_field_file.layouts_of(description), change)
 
 

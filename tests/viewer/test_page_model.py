@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from lumitree.asset.geometry import ARRAYS, AssetGeometry, Medium, UnitShape
-from lumitree.asset.geometry_file import read_material
 from lumitree.asset.materials import (
     Conductor,
     Dielectric,
     Diffuse,
+    Material,
     MetallicRoughness,
     Principled,
     RoughConductor,
@@ -18,12 +18,11 @@ from lumitree.asset.materials import (
     ThinDielectric,
     TwoSided,
 )
-from lumitree.core.frames import LocalFrame
+from lumitree.core.frames import LocalFrame, rows_of
 from support.geometry_assets import (
     IDENTITY,
     NOTHING,
     TEXTURE,
-    matrix,
     small_geometry,
     with_geometry,
 )
@@ -202,10 +201,10 @@ def plate_below_a_bulb():
     bulb[1, 3] = HEIGHT - 0.5
     plate = np.array([[SIDE, 0, 0, 0], [0, 0, 1, -0.5], [0, -SIDE, 0, 0], [0, 0, 0, 1]])
     shapes = (
-        UnitShape(type="sphere", to_world=matrix(bulb), material=1, radiance=RADIANCE),
-        UnitShape(type="rectangle", to_world=matrix(plate), material=0),
+        UnitShape(type="sphere", to_world=rows_of(bulb), material=1, radiance=RADIANCE),
+        UnitShape(type="rectangle", to_world=rows_of(plate), material=0),
     )
-    materials = (read_material(PLASTIC), Diffuse(reflectance=0.0))
+    materials = (Material.of_table(PLASTIC, "plastic"), Diffuse(reflectance=0.0))
     geometry = small_geometry(shapes=shapes, materials=materials, **NOTHING)
     return with_geometry(geometry, LocalFrame(np.ones(3), np.eye(4)))
 

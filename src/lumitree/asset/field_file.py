@@ -8,16 +8,17 @@ Symbols
     N   interior nodes          M   leaves          K   (l_max + 1)² coefficients per channel
 """
 
-from typing import NamedTuple
+import dataclasses
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.array_stream import Arrays, Layout, compressed, decompressed
 from lumitree.asset.asset import MAX_DENSITY, Asset
-from lumitree.core.harmonics import MAX_L, num_coefficients
-from lumitree.core.reading import Record, expect
+from lumitree.core.harmonics import num_coefficients
 from lumitree.core.results import Json
+from lumitree.core.tables import Range
 from lumitree.errors import LumitreeError
 
 
@@ -41,10 +42,17 @@ STEPS = Steps(1 / 64, 1 / 8, 1 / 2, 1.0)
 BRIGHT, MEDIUM = -8.0, -16.0
 # Bits of a float32 that a density drops; 4 of its mantissa stay.
 DENSITY_SHIFT = 19
-_KEYS = ("nodes", "leaves")
 _MAX_ROWS = 1 << 27
 # The largest int16 that is a float16 at any step, as is its half.
 _LARGEST_CODE = (1 << 15) - (1 << 5)
+
+
+@dataclasses.dataclass(frozen=True)
+class FieldSizes:
+    """Numbers of nodes and leaves in the description of a file."""
+
+    nodes: Annotated[int, Range(1, _MAX_ROWS)]
+    leaves: Annotated[int, Range(0, _MAX_ROWS)]
 
 
 def rounded_field(asset: Asset) -> Arrays:
@@ -60,16 +68,9 @@ def stored_field(asset: Asset) -> tuple[Arrays, Json]:
     return tensors, {"nodes": nodes, "leaves": leaves}
 
 
-def build_field(description: Record, l_max: int, tensors: Arrays) -> Arrays:
+def build_field(sizes: FieldSizes, l_max: int, tensors: Arrays) -> Arrays:
     """`children`, `density` and `coefficients` of a file; the inverse of `stored_field`."""
-    expect("asset", 0 <= l_max <= MAX_L, f"l_max {l_max!r}, expected 0 to {MAX_L}")
-    description.expect_keys(*_KEYS)
-    nodes, leaves = (description.integer(key) for key in _KEYS)
-    if not (1 <= nodes <= _MAX_ROWS and 0 <= leaves <= _MAX_ROWS):
-        raise LumitreeError(
-            f"{nodes} nodes and {leaves} leaves, expected 1 to {_MAX_ROWS} and 0 to {_MAX_ROWS}"
-        )
-    layouts = field_layouts(nodes, leaves, l_max)
+    layouts = field_layouts(sizes.nodes, sizes.leaves, l_max)
     return field_of_codes(decompressed(tensors["field.stream"], layouts, "the field"))
 
 

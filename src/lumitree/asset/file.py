@@ -5,6 +5,7 @@ import hashlib
 import json
 import os
 import struct
+from typing import Annotated, Literal
 
 import numpy as np
 import safetensors
@@ -12,19 +13,22 @@ import safetensors.numpy
 
 from lumitree.asset.array_stream import Arrays
 from lumitree.asset.asset import Asset, EmittedSpectrum
-from lumitree.asset.field_file import build_field, rounded_field, stored_field
+from lumitree.asset.field_file import FieldSizes, build_field, rounded_field, stored_field
 from lumitree.asset.geometry_file import (
     GEOMETRY_SHAPES,
     GEOMETRY_TENSORS,
     build_geometry,
     geometry_tensors,
 )
-from lumitree.asset.light_field_file import build_light_field, stored_light_field
+from lumitree.asset.light_field_file import LightDescription, build_light_field, stored_light_field
 from lumitree.core.file_kinds import ASSET, what_it_is
 from lumitree.core.files import atomic_path
-from lumitree.core.frames import FRAME_KEYS, LocalFrame
-from lumitree.core.reading import Record, parse_json, read_bytes
-from lumitree.core.transmittance import LAWS
+from lumitree.core.frames import LocalFrame, with_frame
+from lumitree.core.harmonics import MAX_L
+from lumitree.core.photometry import RGB
+from lumitree.core.reading import parse_json, read_bytes
+from lumitree.core.tables import Range, check_version, converted, shown_value
+from lumitree.core.transmittance import Law
 from lumitree.errors import LumitreeError, shown
 
 FORMAT = "lumitree"
@@ -32,19 +36,38 @@ VERSION = 4
 ACTIVATION = "sigmoid"
 _MAX_HEADER_BYTES = 1 << 20
 MAX_BYTES = 1 << 32
-_KEYS = (
-    "format",
-    "version",
-    "luminaire",
-    "tree_depth",
-    "l_max",
-    "law",
-    "activation",
-    "max_radiance",
-    "gain",
-    "field",
-    *FRAME_KEYS,
-)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Spectrum:
+    share: float
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _Description:
+    format: str
+    version: int
+    luminaire: str
+    tree_depth: int
+    l_max: Annotated[int, Range(0, MAX_L)]
+    law: Law
+    activation: Literal["sigmoid"]
+    max_radiance: float
+    gain: RGB
+    field: FieldSizes
+    frame: LocalFrame
+    light: LightDescription | None = None
+    spectrum: _Spectrum | None = None
+    fingerprint: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class _Tensor:
+    """A tensor in the header; safetensors checks whether its values fit the file."""
+
+    dtype: str
+    shape: tuple[int, ...]
+    data_offsets: tuple[int, ...]
 
 
 def save(asset: Asset, path: str | os.PathLike[str], *, fingerprint: str = "") -> None:
@@ -138,35 +161,26 @@ def fingerprint_of(path: str | os.PathLike[str]) -> str:
     Raises:
         LumitreeError: the file is not an asset of this version.
     """
-    _, _, description = _read_header(read_bytes(path, "a .lumitree asset", MAX_BYTES))
-    return description.text("fingerprint", 64) if description.has("fingerprint") else ""
+    return _read_header(read_bytes(path, "a .lumitree asset", MAX_BYTES))[2].fingerprint
 
 
-def _build(description: Record, tensors: Arrays) -> Asset:
-    description.expect_keys(*_KEYS, optional=("light", "spectrum", "fingerprint"))
-    description.choice("activation", (ACTIVATION,))
-    light, geometry, spectrum = None, None, None
-    if description.has("light"):
-        light = build_light_field(description.record("light"), tensors)
-    if GEOMETRY_SHAPES in tensors:
-        geometry = build_geometry(tensors)
-    if description.has("spectrum"):
-        share = description.record("spectrum")
-        share.expect_keys("share")
-        spectrum = EmittedSpectrum(tensors["spectrum.power"], share.number("share"))
-    red, green, blue = description.array("gain", 3).tolist()
-    l_max = description.integer("l_max")
+def _build(description: _Description, tensors: Arrays) -> Asset:
+    light, spectrum = None, None
+    if description.light is not None:
+        light = build_light_field(description.light, tensors)
+    if description.spectrum is not None:
+        spectrum = EmittedSpectrum(tensors["spectrum.power"], description.spectrum.share)
     return Asset(
-        **build_field(description.record("field"), l_max, tensors),
-        tree_depth=description.integer("tree_depth"),
-        l_max=l_max,
-        law=description.choice("law", LAWS),
-        max_radiance=description.number("max_radiance"),
-        frame=LocalFrame.of_record(description),
-        luminaire=description.label("luminaire"),
+        **build_field(description.field, description.l_max, tensors),
+        tree_depth=description.tree_depth,
+        l_max=description.l_max,
+        law=description.law,
+        max_radiance=description.max_radiance,
+        frame=description.frame,
+        luminaire=description.luminaire,
         light_field=light,
-        geometry=geometry,
-        light_factors=(red, green, blue),
+        geometry=build_geometry(tensors) if GEOMETRY_SHAPES in tensors else None,
+        light_factors=description.gain,
         spectrum=spectrum,
     )
 
@@ -183,7 +197,7 @@ def _header_bytes(content: bytes) -> int:
     return struct.unpack("<Q", content[:8])[0] if len(content) >= 8 else len(content)
 
 
-def _read_header(content: bytes) -> tuple[str, str, Record]:
+def _read_header(content: bytes) -> tuple[str, str, _Description]:
     """Checksum and description of a file; refuses every header that lumitree does not write.
 
     safetensors itself accepts a repeated key, and uses the last of its values.
@@ -194,29 +208,30 @@ def _read_header(content: bytes) -> tuple[str, str, Record]:
         raise LumitreeError(
             f"a header of {length} bytes in a file of {size} (limit {_MAX_HEADER_BYTES})"
         )
-    header = Record(parse_json(content[8 : 8 + length]), "the header")
-    metadata = header.record("__metadata__")
-    metadata.expect_keys("lumitree")
-    digest, _, text = metadata.text("lumitree", _MAX_HEADER_BYTES).partition(" ")
-    description = Record(parse_json(text), "the description")
+    header = parse_json(content[8 : 8 + length])
+    metadata = header.pop("__metadata__", None) if isinstance(header, dict) else None
+    if not isinstance(header, dict) or not isinstance(metadata, dict) or len(metadata) != 1:
+        raise LumitreeError("its header has no __metadata__ of lumitree")
+    digest, _, text = str(metadata.get(FORMAT)).partition(" ")
     # Checked first, because files of other versions may have other members and tensors.
-    description.choice("format", (FORMAT,))
-    description.expect_version(VERSION)
-    tensors = {"field.stream": "U8"}
-    if description.has("light"):
-        tensors["light.stream"] = "U8"
-    if header.has(GEOMETRY_SHAPES):
-        tensors |= GEOMETRY_TENSORS
-    if description.has("spectrum"):
-        tensors["spectrum.power"] = "F32"
-    header.expect_keys("__metadata__", *tensors)
-    for name, dtype in tensors.items():
-        tensor = header.record(name)
-        tensor.expect_keys("dtype", "shape", "data_offsets")
-        tensor.choice("dtype", (dtype,))
-        # safetensors checks their values, and whether they fit the file.
-        for key in ("shape", "data_offsets"):
-            tensor.integers(key)
+    members = check_version(parse_json(text), VERSION)
+    if members.get("format") != FORMAT:
+        raise LumitreeError(f"its format is {shown_value(members.get('format'))}")
+    description = converted(with_frame(members, "frame"), _Description)
+    expected = {"field.stream": "U8"}
+    if description.light is not None:
+        expected["light.stream"] = "U8"
+    if GEOMETRY_SHAPES in header:
+        expected |= GEOMETRY_TENSORS
+    if description.spectrum is not None:
+        expected["spectrum.power"] = "F32"
+    found = {name: converted(each, _Tensor, name=name).dtype for name, each in header.items()}
+    if found != expected:
+        name = min({*found, *expected}, key=lambda name: found.get(name) == expected.get(name))
+        raise LumitreeError(
+            f"its tensor {shown(name)} is {shown(found.get(name, 'missing'))}; expected "
+            f"{expected.get(name, 'no such tensor')}"
+        )
     return digest, text, description
 
 

@@ -19,15 +19,15 @@ from lumitree.asset.materials import (
     Image,
     ImageFacts,
     Material,
-    Matrix,
     Radiance,
     check_material,
     check_radiance,
     check_surface,
 )
-from lumitree.core.frames import LocalFrame, similarity
+from lumitree.core.frames import LocalFrame, Matrix, rows_of, similarity
 from lumitree.core.photometry import RGB
 from lumitree.core.reading import expect, expect_arrays, naming, require
+from lumitree.core.tables import object_of
 from lumitree.errors import LumitreeError, shown
 
 _WHAT = "geometry"
@@ -71,6 +71,15 @@ class Medium:
     absorption: RGB
     scattering: RGB = (0.0, 0.0, 0.0)
     anisotropy: float = 0.0
+
+    @classmethod
+    def of_table(cls, values: object, name: str) -> "Medium":
+        """The medium of a file: its absorption, or a table if it scatters light."""
+        members = {"absorption": values} if isinstance(values, list) else values
+        found = object_of(members, Medium, name)
+        if isinstance(values, dict) and not found.scatters:
+            raise LumitreeError(f"{name} scatters nothing; expected its absorption only")
+        return found
 
     @property
     def scatters(self) -> bool:
@@ -125,6 +134,7 @@ class MeshShape(Shape):
         normals, texcoords, colours: whether its vertices have them.
     """
 
+    type: Literal["mesh"] = "mesh"
     vertices: int
     faces: int
     normals: bool = False
@@ -285,7 +295,7 @@ def _scaled(shape: Shape, factor: float) -> Shape:
     shape = dataclasses.replace(shape, **changed)
     if isinstance(shape, UnitShape):
         matrix = similarity(np.eye(3), factor) @ np.array(shape.to_world)
-        shape = dataclasses.replace(shape, to_world=tuple(map(tuple, matrix.tolist())))
+        shape = dataclasses.replace(shape, to_world=rows_of(matrix))
     return shape
 
 

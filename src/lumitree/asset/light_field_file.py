@@ -6,24 +6,49 @@ both, and a byte for each bin states which it has.
 """
 
 import dataclasses
-from collections.abc import Iterable
+from typing import Annotated
 
 import numpy as np
 
 from lumitree.asset.array_stream import Arrays, Layout, compressed, decompressed
 from lumitree.asset.light_field import MAX_BINS, LightField, LightInside, TracedPaths
-from lumitree.core.reading import Record
 from lumitree.core.results import Json
+from lumitree.core.tables import Range
 from lumitree.errors import LumitreeError
 
-_KEYS = ("depth", "resolution", "scale")
-_TRACED_KEYS = ("count", "seeds", "luminaire", "noise")
-# Members of the description with numbers of rows, and the array of each.
-_ROWS = {"cells": "cells", "bins": "intensity", "divided": "bent"}
-_INSIDE_ROWS = {
-    **{"cells": "cells", "entries": "intensity", "divided": "bent"},
-    **{"distances": "distances", "reach_curves": "reach_curves"},
-}
+_Count = Annotated[int, Range(0, MAX_BINS)]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _InsideSizes:
+    cells: _Count
+    entries: _Count
+    divided: _Count
+    distances: _Count
+    reach_curves: _Count
+    scale: float
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class LightDescription:
+    """Sizes and other members of a light field in the description of its file.
+
+    Attributes:
+        bins: number of the bins that emit.
+        divided: number of the bins with straight and bent light.
+    """
+
+    depth: int
+    resolution: int
+    scale: float
+    cells: _Count
+    bins: _Count
+    divided: _Count
+    traced: TracedPaths | None = None
+    inside: _InsideSizes | None = None
+    absolute: bool = False
+
+
 # Before the names of arrays of the light inside.
 _INSIDE = "inside."
 # Which light a bin has: bent, straight, or both.
@@ -32,33 +57,40 @@ _BENT, _STRAIGHT, _BOTH = 0, 1, 2
 
 def stored_light_field(field: LightField) -> tuple[Arrays, Json]:
     """Tensors of a field by name, and its description in the file."""
-    arrays = _stored_arrays(field)
-    description: Json = {key: getattr(field, key) for key in _KEYS}
-    description |= {key: len(arrays[name]) for key, name in _ROWS.items()}
-    layouts = layouts_of(description)
-    if field.traced is not None:
-        description["traced"] = dataclasses.asdict(field.traced)
+    arrays, sizes = _stored_arrays(field), None
     if (inside := field.inside) is not None:
         stored = _stored_arrays(inside)
         stored["bent_reach"] = inside.bent_reach - inside.reach
-        counts = {key: len(stored[name]) for key, name in _INSIDE_ROWS.items()}
-        description["inside"] = {**counts, "scale": inside.scale}
-        layouts = layouts_of(description)
+        sizes = _InsideSizes(
+            cells=len(inside.cells),
+            entries=len(inside.intensity),
+            divided=len(stored["bent"]),
+            distances=len(inside.distances),
+            reach_curves=len(inside.reach_curves),
+            scale=inside.scale,
+        )
         arrays |= {_INSIDE + name: each for name, each in stored.items()}
-    if field.absolute:
-        description["absolute"] = True
-    return {"light.stream": compressed(arrays, layouts)}, description
+    description = LightDescription(
+        depth=field.depth,
+        resolution=field.resolution,
+        scale=field.scale,
+        cells=len(field.cells),
+        bins=len(field.intensity),
+        divided=len(arrays["bent"]),
+        traced=field.traced,
+        inside=sizes,
+        absolute=field.absolute,
+    )
+    members = dataclasses.asdict(description)
+    for name in ("traced", "inside", "absolute"):
+        if not members[name]:
+            del members[name]
+    return {"light.stream": compressed(arrays, layouts_of(description))}, members
 
 
-def build_light_field(description: Record, tensors: Arrays) -> LightField:
+def build_light_field(description: LightDescription, tensors: Arrays) -> LightField:
     """The field of a file; the inverse of `stored_light_field`."""
-    description.expect_keys(*_KEYS, *_ROWS, optional=("traced", "inside", "absolute"))
-    counts: Json = _counts(description, _ROWS) | {"resolution": description.integer("resolution")}
-    described = description.record("inside") if description.has("inside") else None
-    if described is not None:
-        described.expect_keys(*_INSIDE_ROWS, "scale")
-        counts["inside"] = _counts(described, _INSIDE_ROWS)
-    arrays = decompressed(tensors["light.stream"], layouts_of(counts), "the light field")
+    arrays = decompressed(tensors["light.stream"], layouts_of(description), "the light field")
     inside_arrays = {
         name.removeprefix(_INSIDE): arrays.pop(name)
         for name in list(arrays)
@@ -66,65 +98,46 @@ def build_light_field(description: Record, tensors: Arrays) -> LightField:
     }
     _restore_bent(arrays)
     inside = None
-    if described is not None:
+    if description.inside is not None:
         _restore_bent(inside_arrays)
         inside_arrays["bent_reach"] += inside_arrays["reach"]
-        inside = LightInside(**inside_arrays, scale=described.number("scale"))
-    traced = None
-    if description.has("traced"):
-        paths = description.record("traced")
-        paths.expect_keys(*_TRACED_KEYS)
-        traced = TracedPaths(
-            count=paths.integer("count"),
-            seeds=tuple(paths.integers("seeds")),
-            luminaire=paths.text("luminaire", 64),
-            noise=None if paths.is_null("noise") else paths.number("noise"),
-        )
+        inside = LightInside(**inside_arrays, scale=description.inside.scale)
     return LightField(
         **arrays,
-        depth=description.integer("depth"),
-        resolution=counts["resolution"],
-        scale=description.number("scale"),
-        traced=traced,
+        depth=description.depth,
+        resolution=description.resolution,
+        scale=description.scale,
+        traced=description.traced,
         inside=inside,
-        absolute=description.has("absolute") and description.choice("absolute", (True,)),
+        absolute=description.absolute,
     )
 
 
-def layouts_of(description: Json) -> list[Layout]:
+def layouts_of(description: LightDescription) -> list[Layout]:
     """Arrays of a stream, in its order: of a field, and of the light inside if there is any."""
-    cells, bins, divided = (description[key] for key in _ROWS)
-    resolution = description["resolution"]
+    bins, resolution = description.bins, description.resolution
     found = [
-        Layout("cells", np.uint8, (cells, 3)),
-        Layout("lit", np.uint8, (cells, resolution**2 // 8)),
+        Layout("cells", np.uint8, (description.cells, 3)),
+        Layout("lit", np.uint8, (description.cells, resolution**2 // 8)),
         Layout("intensity", np.uint32, (bins,)),
         Layout("kinds", np.uint8, (bins,)),
-        Layout("bent", np.uint32, (divided,)),
+        Layout("bent", np.uint32, (description.divided,)),
     ]
-    if "inside" not in description:
+    if (sizes := description.inside) is None:
         return found
-    cells, entries, divided, distances, curves = (description["inside"][k] for k in _INSIDE_ROWS)
+    cells, entries = sizes.cells, sizes.entries
     return [
         *found,
         Layout("inside.cells", np.uint8, (cells, 3)),
         Layout("inside.lit", np.uint8, (cells, -(-((resolution // 2) ** 2) // 8))),
         Layout("inside.intensity", np.uint32, (entries,)),
         Layout("inside.kinds", np.uint8, (entries,)),
-        Layout("inside.bent", np.uint32, (divided,)),
+        Layout("inside.bent", np.uint32, (sizes.divided,)),
         Layout("inside.reach", np.uint8, (entries,)),
         Layout("inside.bent_reach", np.uint8, (entries,)),
-        Layout("inside.distances", np.float32, (distances,)),
-        Layout("inside.reach_curves", np.float32, (curves, distances)),
+        Layout("inside.distances", np.float32, (sizes.distances,)),
+        Layout("inside.reach_curves", np.float32, (sizes.reach_curves, sizes.distances)),
     ]
-
-
-def _counts(description: Record, keys: Iterable[str]) -> dict[str, int]:
-    counts = {key: description.integer(key) for key in keys}
-    for key, count in counts.items():
-        if not 0 <= count <= MAX_BINS:
-            raise LumitreeError(f"{key} {count}, expected 0 to {MAX_BINS}")
-    return counts
 
 
 def _stored_arrays(light: LightField | LightInside) -> Arrays:

@@ -16,15 +16,17 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.core.frames import Matrix, rows_of
 from lumitree.core.images import linear_from_srgb
+from lumitree.core.mitsuba_meshes import VERTEX_COLOUR
 from lumitree.core.photometry import RGB
+from lumitree.core.tables import object_of, shown_value
 from lumitree.errors import LumitreeError, shown
 
 Range = tuple[float, float]
-Matrix = tuple[tuple[float, ...], ...]
 # Pixels of an image of an asset.
 Image = NDArray[np.uint8] | NDArray[np.float32]
-_IDENTITY: Matrix = tuple(map(tuple, np.eye(4).tolist()))
+_IDENTITY = rows_of(np.eye(4))
 
 _MAX_COLOUR, _MAX_RADIANCE, _MAX_TRANSFORM = 1e4, 1e15, 1e4
 # Colours of vertices, and numbers that are parts of a whole.
@@ -92,7 +94,9 @@ class Texture:
 
 @dataclasses.dataclass(frozen=True)
 class VertexColours:
-    """The linear colours of a mesh's vertices."""
+    """The linear colours of a mesh's vertices, which have this name."""
+
+    attribute: Literal["vertex_color"] = VERTEX_COLOUR
 
 
 @dataclasses.dataclass(frozen=True)
@@ -240,6 +244,15 @@ class Material:
         dataclasses.dataclass(frozen=True, kw_only=True)(cls)
         if plugin:
             cls.plugin, cls.num_nested, PLUGINS[plugin] = plugin, num_nested, cls
+
+    @classmethod
+    def of_table(cls, values: object, name: str) -> "Material":
+        """The material of a table of a file, which has the plugin as "type"; checked later."""
+        plugin = values.get("type") if isinstance(values, dict) else None
+        if not isinstance(values, dict) or not isinstance(plugin, str) or plugin not in PLUGINS:
+            raise LumitreeError(f"{name} has the type {shown_value(plugin)}, which is not stored")
+        parameters = {key: value for key, value in values.items() if key != "type"}
+        return object_of(parameters, PLUGINS[plugin], name)
 
     @property
     def parameters(self) -> dict[str, Parameter]:

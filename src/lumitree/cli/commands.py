@@ -542,7 +542,7 @@ def _show_demo(result: Given, given: Given) -> None:
 
 
 # Options of how a photograph is taken.
-_SHOWN = ("exposure", "white_balance", "view")
+_SHOWN = ("exposure", "white_balance", "view", "bloom")
 _IMAGE = _file("Image to write: .exr, linear radiance; or .png, as --view shows it.", "-o", NEEDED)
 
 

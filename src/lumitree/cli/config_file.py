@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from lumitree.cli.signatures import meanings
-from lumitree.core.toml_file import converted, read_toml
+from lumitree.core.tables import converted, read_toml
 from lumitree.errors import LumitreeError, shown
 from lumitree.fit.config import BakeConfig, Method, Quality
 

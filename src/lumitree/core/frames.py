@@ -10,15 +10,20 @@ Symbols
 """
 
 import dataclasses
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lumitree.core.reading import Record
+from lumitree.core.tables import Table, converted, shown_value
 from lumitree.errors import LumitreeError
 
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
 Vector = TypeVar("Vector")
+Row = tuple[float, float, float, float]
+Matrix = tuple[Row, Row, Row, Row]
 
 # Half extent of the thinnest box, local units: rays still cross its interior.
 MIN_HALF_EXTENT = 1e-3
@@ -69,6 +74,14 @@ def similarity(
     matrix[:3, :3] = scale * np.asarray(rotation)
     matrix[:3, 3] = translation
     return matrix
+
+
+def rows_of(matrix: ArrayLike) -> Matrix:
+    """The rows of a matrix [4, 4], for files."""
+    first, second, third, fourth = (
+        (x, y, z, w) for x, y, z, w in np.asarray(matrix, np.float64).reshape(4, 4).tolist()
+    )
+    return first, second, third, fourth
 
 
 def similarity_scale(matrix: ArrayLike, what: str = "transform") -> float:
@@ -199,13 +212,7 @@ class LocalFrame:
         matrix = similarity(np.eye(3), scale, (box_min + box_max) / 2)
         return LocalFrame(np.maximum(half / scale, MIN_HALF_EXTENT), matrix)
 
-    @staticmethod
-    def of_record(record: Record) -> "LocalFrame":
-        """Local frame from the members `FRAME_KEYS` of a file."""
-        half_extents, world_from_local = FRAME_KEYS
-        return LocalFrame(record.array(half_extents, 3), record.array(world_from_local, 4, 4))
-
-    def members(self) -> dict[str, Any]:
+    def members(self) -> Table:
         """The frame as members of a file, by `FRAME_KEYS`."""
         arrays = (self.half_extents, self.world_from_local)
         return {key: array.tolist() for key, array in zip(FRAME_KEYS, arrays, strict=True)}
@@ -284,19 +291,28 @@ class LocalFrame:
         return hash((self.half_extents.tobytes(), self.world_from_local.tobytes()))
 
 
-def file_members(record: Any) -> dict[str, Any]:
-    """Members of a dataclass for a JSON file; a local frame is replaced by its own members."""
-    members: dict[str, Any] = {}
+@dataclasses.dataclass(frozen=True)
+class _Members:
+    half_extents: tuple[float, float, float]
+    world_from_proxy: Matrix
+
+
+def with_frame(table: object, name: str) -> Table:
+    """The table of a file with its local frame as one member, in place of `FRAME_KEYS`."""
+    if not isinstance(table, dict):
+        raise LumitreeError(f"it is {shown_value(table)}; expected a table")
+    given = converted({key: table[key] for key in FRAME_KEYS if key in table}, _Members)
+    frame = LocalFrame(np.array(given.half_extents), np.array(given.world_from_proxy))
+    return {key: table[key] for key in table if key not in FRAME_KEYS} | {name: frame}
+
+
+def file_members(record: "DataclassInstance") -> Table:
+    """Members of a dataclass for a JSON file, the inverse of `with_frame`."""
+    members: Table = {}
     for name, value in dataclasses.asdict(record).items():
         attribute = getattr(record, name)
         members |= attribute.members() if isinstance(attribute, LocalFrame) else {name: value}
     return members
-
-
-def file_keys(record: type[Any], frame: str) -> tuple[str, ...]:
-    """Keys of `file_members` for a dataclass whose attribute `frame` is a local frame."""
-    names = (field.name for field in dataclasses.fields(record))
-    return (*(name for name in names if name != frame), *FRAME_KEYS)
 
 
 # Test views start at this Halton index, so that no training view is among them.

@@ -11,9 +11,9 @@ import struct
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, NoReturn, TypeVar
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from lumitree.core.files import check_utf8
 from lumitree.errors import LumitreeError, shown
 
-_T = TypeVar("_T", bound=str | int)
 # Exceptions of NumPy for damaged archives: also RuntimeError if a flag marks one as encrypted, and
 # TypeError if the file is a single array.
 _DAMAGED_ARCHIVE = (
@@ -42,8 +41,6 @@ _DAMAGED_ARCHIVE = (
 _MAX_UNPACKED = 2**28
 # Largest number of characters of a name in a file.
 MAX_LABEL = 1000
-# Largest number of characters of a value in a message.
-_SHOWN = 60
 
 
 def read_bytes(path: str | os.PathLike[str], expected: str, max_bytes: int) -> bytes:
@@ -106,7 +103,7 @@ def label(name: str) -> str:
     return shown(name[:MAX_LABEL], MAX_LABEL)
 
 
-def parse_json(text: str | bytes) -> Any:
+def parse_json(text: str | bytes) -> object:
     """The value of a JSON text; stricter than `json.loads`.
 
     Raises:
@@ -126,120 +123,6 @@ def parse_json(text: str | bytes) -> Any:
         raise LumitreeError(f"not valid JSON: {type(error).__name__}") from None
 
 
-class Record:
-    """A JSON object whose members are checked as they are read.
-
-    Args:
-        value: the result of `parse_json`, or a part of it.
-        what: name of the object, for messages.
-
-    Raises:
-        LumitreeError: `value` is not an object. All methods raise it for a member that is missing,
-            or that has another type or range.
-    """
-
-    def __init__(self, value: Any, what: str) -> None:
-        if not isinstance(value, dict):
-            raise LumitreeError(f"{what} is {_shown(value)}; expected a JSON object")
-        self._members, self._what = value, what
-
-    def expect_version(self, version: int) -> None:
-        """Refuse another "version" than this. To be called before `expect_keys`."""
-        found = self._members.get("version")
-        if type(found) is not int or found != version:
-            raise LumitreeError(
-                f"{self._what} has version {_shown(found)}, this lumitree reads {version}"
-            )
-
-    def has(self, key: str) -> bool:
-        """Whether the object has a member."""
-        return key in self._members
-
-    def is_null(self, key: str) -> bool:
-        """Whether a member is null."""
-        return self._members.get(key) is None
-
-    def is_object(self, key: str) -> bool:
-        """Whether a member is an object."""
-        return isinstance(self._members.get(key), dict)
-
-    def expect_keys(self, *keys: str, optional: Sequence[str] = ()) -> None:
-        """Refuse an object that lacks one of these keys, or has one that is not optional either."""
-        for verb, names in (
-            ("lacks", keys - self._members.keys()),
-            ("has the unknown key", self._members.keys() - {*keys, *optional}),
-        ):
-            if names:
-                raise LumitreeError(f"{self._what} {verb} {_shown(min(names))}")
-
-    def choice(self, key: str, options: Sequence[_T]) -> _T:
-        """A member that is one of the given strings or integers."""
-        value = self._members.get(key)
-        for option in options:
-            if type(value) is type(option) and value == option:
-                return option
-        self._refuse(key, " or ".join(map(_shown, options)))
-
-    def record(self, key: str) -> "Record":
-        """A member that is an object."""
-        return Record(self._members.get(key), f"{key} of {self._what}")
-
-    def members(self, key: str) -> dict[str, Any]:
-        """The members of a member that is an object, unchecked."""
-        return self.record(key)._members
-
-    def text(self, key: str, max_length: int) -> str:
-        """A member that is printable text of at most `max_length` characters."""
-        value = self._members.get(key)
-        if type(value) is not str or len(value) > max_length or not value.isprintable():
-            self._refuse(key, f"printable text of at most {max_length} characters")
-        return value
-
-    def label(self, key: str) -> str:
-        """A member that is a name as `label` returns it."""
-        return self.text(key, MAX_LABEL)
-
-    def integer(self, key: str) -> int:
-        """A member that is an integer."""
-        value = self._members.get(key)
-        if type(value) is not int:
-            self._refuse(key, "an integer")
-        return value
-
-    def number(self, key: str) -> float:
-        """A member that is a finite number."""
-        value = _number(self._members.get(key))
-        if value is None:
-            self._refuse(key, "a number")
-        return value
-
-    def array(self, key: str, *shape: int) -> NDArray[np.float64]:
-        """A member that is an array of finite numbers, nested lists of the given lengths."""
-        flat = _flat(self._members.get(key), shape)
-        if flat is None:
-            lengths = " x ".join(map(str, shape))
-            self._refuse(key, f"{lengths} numbers")
-        return np.array(flat).reshape(shape)
-
-    def integers(self, key: str) -> list[int]:
-        """A member that is a list of integers."""
-        value = self._members.get(key)
-        if type(value) is not list or any(type(item) is not int for item in value):
-            self._refuse(key, "a list of integers")
-        return value
-
-    def items(self, key: str) -> list[Any]:
-        """A member that is a list."""
-        value = self._members.get(key)
-        if type(value) is not list:
-            self._refuse(key, "a list")
-        return value
-
-    def _refuse(self, key: str, expected: str) -> NoReturn:
-        found = _shown(self._members.get(key))
-        raise LumitreeError(f"{key} of {self._what} is {found}; expected {expected}")
-
-
 def _members(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     members = dict(pairs)
     if len(members) < len(pairs):
@@ -247,53 +130,17 @@ def _members(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return members
 
 
-def _refuse_constant(name: str) -> Any:
+def _refuse_constant(name: str) -> NoReturn:
     raise LumitreeError(f"JSON holds {name}; expected finite numbers")
 
 
-def _number(value: Any) -> float | None:
-    """A finite float, or None for everything else; true and false are not numbers."""
-    if type(value) not in (int, float):
-        return None
-    try:
-        number = float(value)
-    except OverflowError:
-        return None
-    return number if np.isfinite(number) else None
-
-
-def _flat(value: Any, shape: tuple[int, ...]) -> list[float] | None:
-    """The numbers of nested lists of these lengths, or None."""
-    if not shape:
-        number = _number(value)
-        return None if number is None else [number]
-    if type(value) is not list or len(value) != shape[0]:
-        return None
-    flat: list[float] = []
-    for item in value:
-        numbers = _flat(item, shape[1:])
-        if numbers is None:
-            return None
-        flat += numbers
-    return flat
-
-
-def _shown(value: Any) -> str:
-    """A value for a message, shortened and in printable ASCII."""
-    if isinstance(value, dict):
-        return "an object"
-    if isinstance(value, list):
-        return f"a list of {len(value)}"
-    return shown(json.dumps(value), _SHOWN)
-
-
-def require(condition: Any, message: str) -> None:
+def require(condition: object, message: str) -> None:
     """Raise a `LumitreeError` with a message if the condition is false."""
     if not condition:
         raise LumitreeError(message)
 
 
-def expect(what: str, condition: Any, message: str) -> None:
+def expect(what: str, condition: object, message: str) -> None:
     """Refuse `what` with a message if the condition is false."""
     require(condition, f"invalid {what}: {message}")
 

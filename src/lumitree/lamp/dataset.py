@@ -14,16 +14,24 @@ import dataclasses
 import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lumitree.core.arguments import MAX_PIXELS_A_SIDE
 from lumitree.core.files import write_json
-from lumitree.core.frames import FIRST_TEST_INDEX, MAX_SCALE, LocalFrame, file_keys, file_members
+from lumitree.core.frames import (
+    FIRST_TEST_INDEX,
+    MAX_SCALE,
+    LocalFrame,
+    Matrix,
+    file_members,
+    with_frame,
+)
 from lumitree.core.images import max_radiance, read_exr, write_exr
-from lumitree.core.reading import Record, label, parse_json, read_bytes
+from lumitree.core.reading import label, parse_json, read_bytes
+from lumitree.core.tables import check_version, converted, object_of
 from lumitree.errors import LumitreeError, shown
 
 Split = Literal["train", "test"]
@@ -55,7 +63,15 @@ class Frame:
 
     file: str
     halton_index: int
-    local_from_camera: tuple[tuple[float, ...], ...]
+    local_from_camera: Matrix
+
+    @classmethod
+    def of_table(cls, values: object, name: str) -> "Frame":
+        """The view of a table of a manifest."""
+        keys = dict(zip(_FRAME_KEYS, ("file", "halton_index", "local_from_camera"), strict=True))
+        if isinstance(values, dict):
+            values = {keys.get(key, key): value for key, value in values.items()}
+        return object_of(values, Frame, name)
 
     @property
     def pose(self) -> NDArray[np.float64]:
@@ -226,32 +242,10 @@ class Dataset:
         return View(frame, planes["RGB"], planes["geometric"], planes["straight_through"])
 
 
-def _parse(value: Any) -> Manifest:
-    record = Record(value, "the manifest")
+def _parse(value: object) -> Manifest:
     # Checked first, because files of other versions may have other members.
-    record.expect_version(VERSION)
-    record.expect_keys(*file_keys(Manifest, "local_frame"))
-    return Manifest(
-        luminaire=record.label("luminaire"),
-        fingerprint=record.label("fingerprint"),
-        split=record.choice("split", get_args(Split)),
-        resolution=record.integer("resolution"),
-        spp=record.integer("spp"),
-        path_depth=record.integer("path_depth"),
-        half_width=record.number("half_width"),
-        local_frame=LocalFrame.of_record(record),
-        frames=tuple(_parse_frame(frame) for frame in record.items("frames")),
-    )
-
-
-def _parse_frame(value: Any) -> Frame:
-    record = Record(value, "a frame")
-    record.expect_keys(*_FRAME_KEYS)
-    return Frame(
-        file=record.label("file"),
-        halton_index=record.integer("halton_index"),
-        local_from_camera=tuple(map(tuple, record.array("proxy_from_camera", 4, 4).tolist())),
-    )
+    table = check_version(value, VERSION)
+    return converted(with_frame(table, "local_frame"), Manifest)
 
 
 def visual_hull(

@@ -35,6 +35,7 @@ from lumitree.asset.materials import (
     make_material,
 )
 from lumitree.core.backend import load_mitsuba, second_thread
+from lumitree.core.frames import rows_of
 from lumitree.core.mitsuba_meshes import VERTEX_COLOUR, is_flipped, mesh_arrays
 from lumitree.core.reading import naming
 from lumitree.errors import LumitreeError, shown
@@ -193,7 +194,7 @@ class _Reader:
             raw=raw,
             filter_type=props.get("filter_type", "bilinear"),
             wrap_mode=props.get("wrap_mode", "repeat"),
-            to_uv=tuple(map(tuple, np.array(to_uv.matrix, np.float64).tolist())),
+            to_uv=rows_of(to_uv.matrix),
         )
 
     def _image(self, path: Path, raw: bool) -> int:
@@ -259,8 +260,7 @@ def _turn(mesh: MeshArrays) -> None:
 def _unit_shape(plugin: str, shape: Any, properties: Shape) -> UnitShape:
     if plugin not in UNIT_SHAPES:
         raise LumitreeError(f"a {plugin} is not stored")
-    matrix = np.array(load_mitsuba().traverse(shape)["to_world"].matrix, np.float64)
-    to_world = tuple(map(tuple, matrix.reshape(4, 4).tolist()))
+    to_world = rows_of(load_mitsuba().traverse(shape)["to_world"].matrix)
     if plugin == "disk":
         # Its matrix has the turned normal already.
         properties = dataclasses.replace(properties, flipped=False)

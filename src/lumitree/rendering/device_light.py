@@ -475,11 +475,11 @@ class DeviceLight(CellLight):
             far = near + length
             per_volume = length * dr.rcp(dr.gather(mi.Float, self.cells.volume, cell, active))
             third = self.table.probability(row, cell, active) * per_volume / 3
-            part = third * (near * near + near * far + far * far)
+            added = third * (near * near + near * far + far * far)
             light = self.intensity(cell, bins, active) * per_volume
             return (
                 radiance + dr.select(active, light, 0),
-                density + dr.select(active, part, 0),
+                density + dr.select(active, added, 0),
             ), active
 
         state = (mi.Color3f(0), mi.Float(0))
@@ -700,12 +700,12 @@ def bins_around(direction: mi.Vector3f, resolution: int) -> list[tuple[mi.UInt32
     The weights are the probabilities with which `smooth_bin` returns the bins.
     """
     place = (octahedral(direction, resolution) + 1) * (resolution / 2) - 0.5
-    part = place - dr.floor(place)
+    fraction = place - dr.floor(place)
     found = []
     for x in (0, 1):
         for y in (0, 1):
-            weight = (part.x if x else 1 - part.x) * (part.y if y else 1 - part.y)
-            found.append((bin_of(direction, resolution, mi.Vector2f(x, y) - part), weight))
+            weight = (fraction.x if x else 1 - fraction.x) * (fraction.y if y else 1 - fraction.y)
+            found.append((bin_of(direction, resolution, mi.Vector2f(x, y) - fraction), weight))
     return found
 
 

@@ -60,14 +60,14 @@ def geometry_shapes(scene_from_world: NDArray[np.float64], lamp: Any) -> list[mi
     media: dict[Medium, mi.Medium] = {}
     made = []
     for shape, mesh in zip(geometry.shapes, geometry.meshes(), strict=True):
-        values: dict[str, Any] = {
+        values: dict[str, object] = {
             "flip_normals": shape.flipped,
             "bsdf": surfaces.bsdf(shape),
         }
         # A surface that shows other things needs no emitter: it neither emits nor scatters.
         if shape.radiance is not None:
             density = next(densities) / lamp.numbers[0] ** 2
-            values["emitter"] = emitter(lamp, surfaces.emitted(shape.radiance), density)
+            values["emitter"] = emitter(lamp, surfaces.materials.radiance(shape.radiance), density)
         elif not is_specular(geometry.materials[shape.material]):
             values["emitter"] = emitter(lamp)
         for side, medium in shape.media.items():
@@ -107,9 +107,9 @@ class Surfaces:
     """The BSDFs and textures of an asset's geometry, which its instances share."""
 
     def __init__(self, geometry: AssetGeometry) -> None:
-        self._geometry, self._materials = geometry, Materials(geometry.images)
+        self._geometry, self.materials = geometry, Materials(geometry.images)
         glass = geometry_glass_class()
-        self._bsdfs = [self._materials.bsdf(material) for material in geometry.materials]
+        self._bsdfs = [self.materials.bsdf(material) for material in geometry.materials]
         self._crossed = [
             glass(bsdf) if isinstance(material, Dielectric) else bsdf
             for material, bsdf in zip(geometry.materials, self._bsdfs, strict=True)
@@ -124,17 +124,13 @@ class Surfaces:
         straight = not shape.scatters
         return (self._crossed if straight else self._bsdfs)[shape.material]
 
-    def emitted(self, radiance: asset_materials.Radiance) -> Radiance:
-        """Radiance of a shape."""
-        return self._materials.radiance(radiance)
-
     def emitting(self, frame: LocalFrame) -> list[EmittingSurface]:
         """The shapes that emit, in the local frame."""
         geometry, found = self._geometry, []
         matrix = frame.local_from_world @ geometry.file_from_geometry
         for shape, mesh in zip(geometry.shapes, geometry.meshes(), strict=True):
             if shape.radiance is not None:
-                radiance = self.emitted(shape.radiance)
+                radiance = self.materials.radiance(shape.radiance)
                 source = radiance if radiance.constant is None else radiance.constant
                 found.append(emitting_surface(shape, mesh, source, matrix))
         return found

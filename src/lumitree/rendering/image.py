@@ -109,6 +109,7 @@ def mix(
     exposure: float | str = 0.0,
     white_balance: float | str = "auto",
     view: View = "agx",
+    bloom: float = 0.06,
 ) -> MixResult:
     """Change the brightness and the colour of lamps in an image, without rendering it again.
 
@@ -117,8 +118,8 @@ def mix(
             path of a file that `RenderResult.save_layers` has written.
         gain: by name of the layer, factors [3] on R, G and B of its light, or one number for all;
             0 to 10⁶. Default: 1.
-        exposure, white_balance, view: of `png`, as for `render`. Automatic ones are by the layers
-            without gains, so that a dimmed lamp looks dimmed.
+        exposure, white_balance, view, bloom: of `png`, as for `render`. Automatic ones are by the
+            layers without gains, so that a dimmed lamp looks dimmed.
 
     Returns:
         The image as `pixels`, float32 [height, width, 3], linear radiance in W/(m² sr), and
@@ -128,7 +129,7 @@ def mix(
         LumitreeError: the file is missing, damaged or has no layers; a gain is out of range or
             of a layer that there is not; or `exposure` or `white_balance` is out of range.
     """
-    settings = PhotoSettings(exposure=exposure, white_balance=white_balance, view=view)
+    settings = PhotoSettings(exposure=exposure, white_balance=white_balance, view=view, bloom=bloom)
     factors = {name: check_gain(each) for name, each in (gain or {}).items()}
     watch = Stopwatch()
     with watch.stage("mix"):

@@ -591,8 +591,8 @@ def add_emitter_light(
     # A lamp's surfaces get nothing of its light field, which has the light that passes its glass:
     # this glass attenuates here instead of blocking.
     self_light = choice.selected.index == vertex.owner
-    target = dr.select(self_light, NONE, choice.selected.index)
-    light *= visible(scene, si, ds, choice.sampled.beyond, target, path.medium, active)
+    lamp = dr.select(self_light, NONE, choice.selected.index)
+    light *= visible(scene, si, ds, choice.sampled.beyond, lamp, path.medium, active)
     active &= dr.max(light) > 0
     emitter_pmf = choice.selected.emitter_pmf
     weight = scene.lamps.call(
@@ -611,14 +611,14 @@ def visible(
     si: mi.SurfaceInteraction3f,
     ds: mi.DirectionSample3f,
     beyond: mi.Float,
-    target: mi.UInt32,
+    goal_lamp: mi.UInt32,
     medium: mi.MediumPtr,
     active: mi.Bool,
 ) -> mi.Spectrum:
     """Transmittance from a surface to a sampled point: 0 behind surfaces that are not null.
 
     For a length `beyond` after the point, surfaces block that do not belong to the sampled lamp,
-    whose index in the scene is `target`.
+    whose index in the scene is `goal_lamp`, or `NONE`.
     """
     surfaces, proxies, outside_lamps, passes, _ = scene.divided
     # Like Mitsuba's, a shadow ray ends before its goal; and by no less than it starts after its
@@ -627,7 +627,7 @@ def visible(
     ray, left = _spawn_to(si, ds.p, ds.d, margin, scene.extent, active)
     if dr.hint(scene.has_media, mode="scalar"):
         medium = medium_paths.medium_after(si, ds.d, medium, left)
-    through = _transmittance(scene, surfaces, False, target, margin, ray, ds.p, medium, left)
+    through = _transmittance(scene, surfaces, False, goal_lamp, margin, ray, ds.p, medium, left)
     if dr.hint(outside_lamps is not None, mode="scalar"):
         assert outside_lamps is not None
         onwards = active & (beyond > 0) & (dr.max(through) > 0)
@@ -637,7 +637,7 @@ def visible(
         goal = dr.fma(beyond, ds.d, rest.o)
         none = dr.zeros(mi.MediumPtr)
         through *= _transmittance(
-            scene, outside_lamps, passes, target, mi.Float(0), rest, goal, none, onwards
+            scene, outside_lamps, passes, goal_lamp, mi.Float(0), rest, goal, none, onwards
         )
     if dr.hint(proxies.attenuate, mode="scalar"):
         crossed = left & (dr.max(through) > 0)
@@ -645,12 +645,12 @@ def visible(
         crossed &= lamp != NONE
         # Lamps that overlap attenuate all light of each other, as along rays that enter both.
         whole = mi.Ray3f(ray)
-        whole.maxt = dr.select(scene.divided.owners.is_lamp(target, active), dr.inf, ray.maxt)
+        whole.maxt = dr.select(scene.divided.owners.is_lamp(goal_lamp, active), dr.inf, ray.maxt)
         while crossed:
             emitter = scene.emitter(lamp, crossed)
             attenuated = scene.lamps.call("transmittance", emitter, whole, distance, crossed)
             # The lamp's light already contains its attenuation.
-            through *= dr.select(crossed & (lamp != target), attenuated, 1)
+            through *= dr.select(crossed & (lamp != goal_lamp), attenuated, 1)
             distance, lamp = proxies.next(ray, distance, lamp, ray.maxt, crossed)
             crossed &= lamp != NONE
     return through
@@ -661,7 +661,7 @@ def _transmittance(
     scene: PathScene,
     traced: mi.Scene,
     passes: bool,
-    target: mi.UInt32,
+    goal_lamp: mi.UInt32,
     margin: mi.Float,
     ray: mi.Ray3f,
     goal: mi.Point3f,
@@ -670,7 +670,7 @@ def _transmittance(
 ) -> mi.Spectrum:
     """Transmittance of surfaces (`traced`), and of media, along a ray towards a sampled point.
 
-    Glass of the lamp `target` blocks: the lamp's light contains the light that passes it. With
+    Glass of the lamp `goal_lamp` blocks: the lamp's light contains the light that passes it. With
     `passes` none of its surfaces blocks.
     """
     through, ray, direction = mi.Spectrum(1), mi.Ray3f(ray), mi.Vector3f(ray.d)
@@ -693,15 +693,17 @@ def _transmittance(
             null = hit & mi.has_flag(flags, mi.BSDFFlags.Null)
             passed = mi.Bool(False)
             if dr.hint(owners.exist, mode="scalar"):
-                passed = hit & (owners.of(pi.shape, hit) == target)
+                passed = hit & (owners.of(pi.shape, hit) == goal_lamp)
                 if dr.hint(passes, mode="scalar"):
                     null |= passed
                 else:
                     null &= ~(passed & ((flags & CROSSED_STRAIGHT) != 0))
                     passed = mi.Bool(False)
             crossing = pi.compute_surface_interaction(ray, mi.RayFlags.All, null)
-            part = dr.select(passed, 1, bsdf.eval_null_transmission(crossing, null & ~passed))
-            through[hit] *= dr.select(null, part, 0)
+            attenuation = dr.select(
+                passed, 1, bsdf.eval_null_transmission(crossing, null & ~passed)
+            )
+            through[hit] *= dr.select(null, attenuation, 0)
             crossings += 1
             through[null & (crossings >= MAX_CROSSINGS)] = 0
             null &= dr.max(through) > 0

@@ -172,10 +172,10 @@ class LampChoice:
         squared, radius = dr.maximum(dr.squared_norm(offset), dr.smallest(mi.Float)), centre.w
         inverse = dr.rsqrt(squared)
         direction = offset * inverse
-        part, towards = dr.square(direction), direction > 0
-        intensity = part.x * dr.select(towards.x, high.x, low.x)
-        intensity += part.y * dr.select(towards.y, high.y, low.y)
-        intensity += part.z * dr.select(towards.z, high.z, low.z)
+        squares, towards = dr.square(direction), direction > 0
+        intensity = squares.x * dr.select(towards.x, high.x, low.x)
+        intensity += squares.y * dr.select(towards.y, high.y, low.y)
+        intensity += squares.z * dr.select(towards.z, high.z, low.z)
         spread = dr.minimum(radius * inverse + _SLACK, 1)
         cosine = dr.select(dr.squared_norm(n) > 0, -dr.dot(n, direction), 1)
         least = dr.select(squared < dr.square(radius), _LEAST_COSINE * (1 + spread), 0)
@@ -285,7 +285,7 @@ class EmitterSelection:
         pmf_of = np.zeros(numbers.max() + 1)
         index_of[numbers], pmf_of[numbers] = np.arange(len(emitters)), pmf
         self._index_of, self._pmf_of = on_device(mi.UInt32, index_of), on_device(mi.Float, pmf_of)
-        self._part = 1 - _OTHERS if self._has_others else 1.0
+        self._lamp_fraction = 1 - _OTHERS if self._has_others else 1.0
 
     def sample(
         self,
@@ -311,7 +311,7 @@ class EmitterSelection:
             other, choice.x = divide_sample(choice.x, _OTHERS)
         lit = active & ~other
         index, weight, pmf = self._lamps.sample(si.p, normal, owner, choice, lit)
-        weight, pmf = weight / self._part, pmf * self._part
+        weight, pmf = weight / self._lamp_fraction, pmf * self._lamp_fraction
         if self._has_others:
             entry, entry_pmf = self._others.sample(mi.UInt32(0), choice.x, active & other)
             found = dr.gather(mi.UInt32, self._other_indices, entry, active & other)
@@ -329,7 +329,7 @@ class EmitterSelection:
         number = dr.reinterpret_array(mi.UInt32, emitter)
         index = dr.gather(mi.UInt32, self._index_of, number, active)
         pmf = self._lamps.pmf(index, it.p, mi.Bool(active))
-        return dr.gather(mi.Float, self._pmf_of, number, active) + self._part * pmf
+        return dr.gather(mi.Float, self._pmf_of, number, active) + self._lamp_fraction * pmf
 
 
 class LampKinds:
@@ -363,19 +363,19 @@ class LampKinds:
     def call(self, method: str, emitter: mi.EmitterPtr, *args: Any) -> Any:
         """Call a method of `PlacedLamp` of emitters, or of `OtherEmitter`, by its name."""
 
-        def of_any(emitter: mi.Emitter, *args: Any) -> Any:
+        def of_any(emitter, *args):
             return getattr(lamp_of(emitter) or OtherEmitter(emitter), method)(*args)
 
-        def of_other(_: mi.UInt32, pointer: mi.EmitterPtr, *args: Any) -> Any:
-            def record(emitter: mi.Emitter, *args: Any) -> Any:
+        def of_other(_, pointer, *args):
+            def record(emitter, *args):
                 return getattr(OtherEmitter(None if lamp_of(emitter) else emitter), method)(*args)
 
             if self._has_others:
                 return dr.dispatch(pointer, record, *args)
             return getattr(OtherEmitter(None), method)(*args)
 
-        def of_kind(lamp: PlacedLamp) -> Any:
-            def record(number: mi.UInt32, _: mi.EmitterPtr, *args: Any) -> Any:
+        def of_kind(lamp: PlacedLamp):
+            def record(number, _, *args):
                 return getattr(self._instances.of(lamp, number), method)(*args)
 
             return record

@@ -1,6 +1,7 @@
 """Components of an image: the light of each lamp, buffers that describe surfaces, and denoising.
 
 `lumitree_path` accumulates these along its paths, and its film stores them as further channels.
+Every image has the light of emitters that are seen, and its square, by which photographs clamp it.
 
 Intel Open Image Denoise filters the noise out. Emitters that are seen directly, or by mirrors and
 glass, have little noise, and the filter would blur filaments and highlights: they are not filtered.
@@ -23,12 +24,16 @@ from numpy.typing import NDArray
 
 from lumitree.core.device import on_device
 from lumitree.errors import LumitreeError
+from lumitree.rendering.photograph import Highlights
 
 # Buffers of the first surface that is not specular, as Open Image Denoise expects them.
 BUFFERS = ("albedo", "normal")
 # Kinds of light that are recorded separately in each group, as the attributes of `Recorded`.
 KINDS = ("seen", "self_emission", "lit")
 _CHANNELS = {"albedo": "RGB", "normal": "XYZ"}
+_SEEN = ("seen.R", "seen.G", "seen.B", "seen.square")
+# Largest radiance whose square is finite in single precision.
+_MAX_RADIANCE = 1e15
 # Standard deviation of the window in which filtered self-emission keeps its mean, pixels.
 _WINDOW = 8.0
 
@@ -89,7 +94,41 @@ class Unrecorded:
         return []
 
 
-class Layers(Unrecorded):
+class Seen(Unrecorded):
+    """Light of emitters that reaches the camera by specular surfaces only, and its square."""
+
+    def channel_names(self) -> list[str]:
+        return list(_SEEN)
+
+    def start(self) -> dict[str, Any]:
+        return {"seen": [mi.Color3f(0)]}
+
+    def add_light(
+        self,
+        record: dict[str, Any],
+        emitter: mi.EmitterPtr,
+        radiance: mi.Spectrum,
+        seen: mi.Bool,
+        shown: mi.Bool,
+        active: mi.Bool,
+    ) -> None:
+        record["seen"][0] += radiance & (active & seen)
+
+    def channels(self, record: dict[str, Any]) -> list[mi.Float]:
+        return [*record["seen"][0], _square(record)]
+
+    def highlights(self, channels: NDArray[np.float32]) -> Highlights:
+        """The light of emitters that are seen, in the film's further channels [H, W, C]."""
+        return Highlights(channels[..., :3], channels[..., 3])
+
+
+def _square(record: dict[str, Any]) -> mi.Float:
+    """Square of the mean of R, G and B of all light that is seen."""
+    grey = sum((dr.mean(colour) for colour in record["seen"]), mi.Float(0))
+    return dr.square(dr.minimum(grey, _MAX_RADIANCE))
+
+
+class Layers(Seen):
     """Groups of emitters whose light is recorded separately, by `KINDS`.
 
     Args:
@@ -113,7 +152,8 @@ class Layers(Unrecorded):
     def channel_names(self) -> list[str]:
         """Names of the film's further channels, in the order of `channels`."""
         light = [f"{kind}{g}.{c}" for kind in KINDS for g in range(self.groups) for c in "RGB"]
-        return light + [f"{buffer}.{c}" for buffer in BUFFERS for c in _CHANNELS[buffer]]
+        buffers = [f"{buffer}.{c}" for buffer in BUFFERS for c in _CHANNELS[buffer]]
+        return [*light, *buffers, _SEEN[-1]]
 
     def start(self) -> dict[str, Any]:
         """Buffers of paths at their start."""
@@ -162,12 +202,15 @@ class Layers(Unrecorded):
         """Values of the film's further channels."""
         colours = [each for kind in KINDS for each in record[kind]]
         colours += [record[buffer] for buffer in BUFFERS]
-        return [colour[i] for colour in colours for i in range(3)]
+        return [*(colour[i] for colour in colours for i in range(3)), _square(record)]
+
+    def highlights(self, channels: NDArray[np.float32]) -> Highlights:
+        return Highlights(self.divide(channels).seen.sum(axis=0), channels[..., -1])
 
     def divide(self, channels: NDArray[np.float32]) -> Recorded:
         """Buffers in the film's further channels [H, W, C]."""
         height, width = channels.shape[:2]
-        images = channels.reshape(height, width, -1, 3)
+        images = channels[..., :-1].reshape(height, width, -1, 3)
         light = images[:, :, : -len(BUFFERS)].transpose(2, 0, 1, 3)
         kinds = dict(zip(KINDS, np.split(light, len(KINDS)), strict=True))
         return Recorded(**kinds, albedo=images[:, :, -2], normal=images[:, :, -1])
@@ -179,7 +222,7 @@ def records_layers(integrator: mi.Integrator) -> bool:
 
 
 @contextlib.contextmanager
-def recording(integrator: Any, layers: Layers) -> Iterator[None]:
+def recording(integrator: Any, layers: Seen) -> Iterator[None]:
     """Context in which `lumitree_path` records layers; the integrator may be the user's."""
     before, integrator.layers = integrator.layers, layers
     try:

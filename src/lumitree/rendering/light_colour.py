@@ -63,11 +63,11 @@ def light_table(found: EmittedSpectrum | None) -> NDArray[np.float64]:
         spectrum = found.power.astype(np.float64)
     else:
         spectrum = d65()
-    parts = spectrum[:, None] * smooth_basis()
-    colours = srgb_from_xyz(xyz_of_spectrum(parts.T)).T / FILM_LUMINANCE
+    products = spectrum[:, None] * smooth_basis()
+    colours = srgb_from_xyz(xyz_of_spectrum(products.T)).T / FILM_LUMINANCE
     if np.linalg.cond(colours) > _MAX_CONDITION:
         return spectrum[:, None] * (np.array(LUMA) * FILM_LUMINANCE / xyz_of_spectrum(spectrum)[1])
-    return parts @ np.linalg.inv(colours)
+    return products @ np.linalg.inv(colours)
 
 
 def d65() -> NDArray[np.float64]:

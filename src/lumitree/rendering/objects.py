@@ -14,7 +14,7 @@ _STEPS: deque[Callable[[], object]] = deque()
 _LOCK = threading.Lock()
 
 
-def make_properties(plugin: str, values: Mapping[str, Any]) -> mi.Properties:
+def make_properties(plugin: str, values: Mapping[str, object]) -> mi.Properties:
     """Properties of a plugin; values may be objects."""
     properties = mi.Properties(plugin)
     for name, value in values.items():
@@ -22,7 +22,7 @@ def make_properties(plugin: str, values: Mapping[str, Any]) -> mi.Properties:
     return properties
 
 
-def make_object(plugin: str, values: Mapping[str, Any]) -> Any:
+def make_object(plugin: str, values: Mapping[str, object]) -> Any:
     """The object of a plugin; an object that contains several is not expanded into them."""
     return mi.PluginManager.instance().create_object(make_properties(plugin, values))
 
@@ -37,7 +37,7 @@ def medium_number(medium: mi.Medium) -> int:
     return int(dr.reinterpret_array(mi.UInt32, mi.MediumPtr(medium))[0])
 
 
-def load_ordered(description: Mapping[str, Any]) -> Any:
+def load_ordered(description: Mapping[str, object]) -> Any:
     """`mitsuba.load_dict`, with shapes and emitters in the order of the dictionary, in one thread.
 
     `load_dict` merges meshes, and then brings shapes into an order that differs from one call to

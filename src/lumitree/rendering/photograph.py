@@ -2,13 +2,20 @@
 
 Exposure is EV100: white on the display is a luminance of 1.2 x 2^EV cd/m², as for a camera that is
 calibrated by ISO 2720. White balance is a chromatic adaptation by CAT16 (CIE 248:2022).
+
+Filaments are up to 1,000 times as bright as white, and the edge of one would be a staircase
+whatever the reconstruction filter. So emitters that are seen are clamped to a few times white
+before pixels are averaged, as far as the mean of squares tells it, and filtered by a Gaussian.
 """
 
 import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import fft
+from scipy.ndimage import gaussian_filter
 
 from lumitree.core.arguments import check_choice, check_range
 from lumitree.core.images import block_means
@@ -41,6 +48,11 @@ _MAX_STOPS, _MAX_EV = 40.0, 60.0
 _ADAPTATION, _COLOURED = 0.7, (0.02, 0.05)
 # Least albedo by which the light on a surface is known; and see `light_on_scene`.
 _LEAST_ALBEDO, _POWER = 0.05, 4
+# Largest radiance of a photograph over white, and standard deviation of the filter of what is
+# brighter, pixels.
+_MOST, _FILTER = 16.0, 0.5
+# Bloom: standard deviations of Gaussians as parts of the image's diagonal, and their weights.
+_BLOOM = ((0.003, 0.5), (0.012, 0.3), (0.05, 0.2))
 _CAT16 = np.array(
     [
         [0.401288, 0.650173, -0.051461],
@@ -48,6 +60,32 @@ _CAT16 = np.array(
         [-0.002079, 0.048952, 0.953127],
     ]
 )
+
+
+@dataclasses.dataclass(frozen=True)
+class Highlights:
+    """Light of emitters that the camera sees, also by mirrors and glass.
+
+    Attributes:
+        seen: [H, W, 3], W/(m² sr).
+        square: [H, W], mean over the samples of a pixel of the square of the mean of R, G and B.
+    """
+
+    seen: NDArray[np.floating]
+    square: NDArray[np.floating]
+
+    def divide(self, most: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Light [H, W, 3] of emitters of more than `most`, W/(m² sr), and the same clamped.
+
+        A pixel that an emitter covers to a share p has the mean pL and the mean square pL² of its
+        radiance L. For emitters of several radiances p is the share of the brighter ones.
+        """
+        seen = np.nan_to_num(np.asarray(self.seen, np.float64), posinf=0.0, neginf=0.0)
+        grey = seen.mean(axis=-1)
+        level = np.divide(self.square, grey, out=np.zeros_like(grey), where=grey > 0)
+        bright = np.where((level > most)[..., None], seen, 0.0)
+        clamped = bright * (most / np.maximum(level, most))[..., None]
+        return bright, clamped
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,10 +123,12 @@ class PhotoSettings:
     exposure: float | str = 0.0
     white_balance: float | str = "auto"
     view: View = "agx"
+    bloom: float = 0.06
 
     def __post_init__(self) -> None:
         check_choice("view", self.view, VIEWS)
         check_exposure(self.exposure)
+        check_range("bloom", self.bloom, 0, 1)
         if self.white_balance not in ("auto", "off"):
             if isinstance(self.white_balance, str):
                 raise LumitreeError(
@@ -103,6 +143,7 @@ class PhotoSettings:
         *,
         metered: NDArray[np.floating] | None = None,
         albedo: NDArray[np.floating] | None = None,
+        highlights: Highlights | None = None,
     ) -> Photograph:
         """Take a photograph.
 
@@ -111,11 +152,12 @@ class PhotoSettings:
             metered: [H, W, 3], radiance by which automatic exposure and white balance are chosen.
                 Default: `radiance`.
             albedo: [H, W, 3] of its surfaces, which tells the colour of the light on them.
+            highlights: part of `radiance`.
         """
         metered = radiance if metered is None else metered
         ev = exposure_value(self.exposure, automatic_ev(metered))
         light = None if self.white_balance == "off" else self._light(metered, albedo)
-        scaled = radiance / white_radiance(ev)
+        scaled = bloomed(_resolved(radiance, highlights, white_radiance(ev)), self.bloom)
         if light is not None:
             scaled = scaled @ light.adaptation().T
         kelvin = None if light is None else light.temperature
@@ -236,6 +278,36 @@ def light_on_scene(
     low, high = _COLOURED
     degree = _ADAPTATION * min(max((high - abs(duv)) / (high - low), 0.0), 1.0)
     return Light(xyz / xyz[1], temperature, degree)
+
+
+def bloomed(image: NDArray[np.float64], share: float) -> NDArray[np.float64]:
+    """An image [H, W, 3] of which a share of the light is scattered, as in a lens or an eye.
+
+    Light that would leave the image is reflected at its edges, so that none is lost.
+    """
+    if not share:
+        return image
+    height, width = image.shape[:2]
+    diagonal = math.hypot(height, width)
+    squares = np.add.outer((np.arange(height) / height) ** 2, (np.arange(width) / width) ** 2)
+    kept = np.full((height, width), 1 - share)
+    for deviation, weight in _BLOOM:
+        kept += share * weight * np.exp(-0.5 * (np.pi * deviation * diagonal) ** 2 * squares)
+    spectrum = fft.dctn(image, axes=(0, 1), norm="ortho")
+    shown: Any = fft.idctn(spectrum * kept[..., None], axes=(0, 1), norm="ortho")
+    return np.maximum(shown, 0)
+
+
+def _resolved(
+    radiance: NDArray[np.floating], highlights: Highlights | None, white: float
+) -> NDArray[np.float64]:
+    """Radiance relative to white, clamped to a few times white; see the docstring of the module."""
+    image = np.nan_to_num(np.asarray(radiance, np.float64), posinf=_MOST * white, neginf=0.0)
+    if highlights is not None:
+        bright, clamped = highlights.divide(_MOST * white)
+        image += gaussian_filter(clamped, (_FILTER, _FILTER, 0), mode="nearest") - bright
+    image = np.maximum(image / white, 0)
+    return image * (_MOST / np.maximum(image.max(axis=-1, keepdims=True), _MOST))
 
 
 def _blocks(pixels: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from lumitree.asset.asset import Asset
 from lumitree.core.arguments import check_gain, check_light
 from lumitree.core.frames import check_placement
-from lumitree.core.toml_file import converted, read_toml
+from lumitree.core.tables import converted, read_toml
 from lumitree.errors import LumitreeError, explained, shown
 from lumitree.lamp.builtin import BUILTIN
 from lumitree.lamp.source import source_kind

@@ -18,7 +18,6 @@ L_o = gain · L_e + T · L_i (Eq. 2): the emitter returns gain · L_e, the BSDF 
 a differentiable parameter of `mitsuba.traverse`, `<name of the shape>.emitter.gain`.
 """
 
-import importlib
 import os
 from typing import TYPE_CHECKING, Any
 
@@ -48,21 +47,18 @@ def register() -> None:
     if mi.variant() in _registered:
         return
     # Their classes extend Mitsuba's, which a variant has to be set for.
-    emitter = importlib.import_module("lumitree.rendering.emitter").emitter_class()
-    bsdf = importlib.import_module("lumitree.rendering.null_bsdf").null_bsdf_class()
-    box = importlib.import_module("lumitree.rendering.shapes").box_class()
-    integrator = importlib.import_module("lumitree.rendering.integrator").integrator_class()
-    make = importlib.import_module("lumitree.rendering.shapes").make_shapes
-    options = importlib.import_module("lumitree.rendering.emitter").plugin_options
-    mi.register_emitter("lumitree", emitter)
-    mi.register_bsdf("lumitree_null", bsdf)
-    mi.register_shape("lumitree_box", box)
-    mi.register_integrator("lumitree_path", integrator)
-    importlib.import_module("lumitree.lamp.metallic_roughness").register()
+    from lumitree.lamp import metallic_roughness
+    from lumitree.rendering import emitter, integrator, null_bsdf, shapes
 
-    def make_proxy(props: Any) -> Any:
+    mi.register_emitter("lumitree", emitter.emitter_class())
+    mi.register_bsdf("lumitree_null", null_bsdf.null_bsdf_class())
+    mi.register_shape("lumitree_box", shapes.box_class())
+    mi.register_integrator("lumitree_path", integrator.integrator_class())
+    metallic_roughness.register()
+
+    def make_proxy(props):
         try:
-            return make(props.id(), **options(props))
+            return shapes.make_shapes(props.id(), **emitter.plugin_options(props))
         except (RecursionError, RuntimeError) as error:
             # Mitsuba turns exceptions of the plugins within this one into a RuntimeError.
             if not isinstance(error, RecursionError) and "RecursionError" not in str(error):

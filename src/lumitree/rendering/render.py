@@ -130,6 +130,7 @@ def render(
     exposure: float | str = 0.0,
     white_balance: float | str = "auto",
     view: View = "agx",
+    bloom: float = 0.06,
     so_far: "Callable[[RenderResult], None] | None" = None,
     work: FilePath | None = None,
     seed: int = 0,
@@ -173,6 +174,7 @@ def render(
             temperature of a light that is to be white, K, 1000 to 20,000; or "off".
         view: view transform of `png`: "agx", in which bright colours approach white slowly; or
             "srgb", which clips them, for measuring.
+        bloom: share of the light of `png` that is scattered as in a lens or an eye, 0 to 1.
         so_far: function that is called with the image so far, without layers and before denoising,
             after the first pass and then every two seconds or more.
         work: folder in which the passes so far are kept every half minute, and at the end. The same
@@ -204,7 +206,7 @@ def render(
     check_items("placements", placements, Placement)
     placements = [lamp for placement in placements for lamp in placement.each()]
     check_seed(seed)
-    settings = PhotoSettings(exposure=exposure, white_balance=white_balance, view=view)
+    settings = PhotoSettings(exposure=exposure, white_balance=white_balance, view=view, bloom=bloom)
     metres = metres_of(unit)
     check_executor(executor)
     mi = load_mitsuba(variant)
@@ -222,7 +224,9 @@ def render(
     def result(
         rendering: "Rendering", pixels: NDArray[np.float32], filtered: bool, **parts: Any
     ) -> RenderResult:
-        photograph = settings.photograph(pixels, albedo=parts.get("albedo"))
+        photograph = settings.photograph(
+            pixels, albedo=parts.get("albedo"), highlights=job.highlights(rendering)
+        )
         comment = image_settings(
             "render",
             scene=Path(scene).name if isinstance(scene, str | os.PathLike) else None,

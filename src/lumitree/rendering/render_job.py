@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from lumitree.core.checkpoint import Checkpoint
     from lumitree.rendering.layers import Recorded
     from lumitree.rendering.passes import Budget, Renderer, Rendering
+    from lumitree.rendering.photograph import Highlights
     from lumitree.rendering.placement import Placement
     from lumitree.rendering.scene import PlacedLuminaire
 
@@ -73,7 +74,7 @@ class RenderJob:
     def __init__(self, described: Described) -> None:
         import mitsuba as mi
 
-        from lumitree.rendering.layers import Layers, records_layers
+        from lumitree.rendering.layers import Layers, Seen, records_layers
         from lumitree.rendering.scene import (
             appearance_for,
             camera_view,
@@ -102,8 +103,10 @@ class RenderJob:
                 LumitreeWarning,
                 stacklevel=2,
             )
-        self._layers = None
+        self._layers: Seen | None = None
         if described.by_lamp is None:
+            if records_layers(self.integrator) and not mi.is_spectral:
+                self._layers = Seen()
             return
         if not records_layers(self.integrator):
             raise LumitreeError(
@@ -122,6 +125,7 @@ class RenderJob:
         checkpoint: "Checkpoint | None",
     ) -> "tuple[Rendering, Recorded | None]":
         """The image, and what is recorded beside it; arguments as for `render_passes`."""
+        from lumitree.rendering.layers import Layers
         from lumitree.rendering.passes import render_passes
 
         with self._recording():
@@ -134,9 +138,15 @@ class RenderJob:
                 renderer=renderer,
                 checkpoint=checkpoint,
             )
-        if self._layers is None:
+        if not isinstance(self._layers, Layers):
             return rendering, None
         return rendering, self._layers.divide(rendering.channels[..., self._of_film :])
+
+    def highlights(self, rendering: "Rendering") -> "Highlights | None":
+        """Light of emitters that are seen in an image; None if it was not recorded."""
+        if self._layers is None:
+            return None
+        return self._layers.highlights(rendering.channels[..., self._of_film :])
 
     def identity(self, seed: int) -> dict[str, Any]:
         """Inputs of the image, as members of a JSON object.
@@ -163,6 +173,7 @@ class RenderJob:
             "metres": described.metres,
             "box_filter": described.box_filter,
             "by_lamp": described.by_lamp,
+            "channels": [] if self._layers is None else self._layers.channel_names(),
             "seed": seed,
             "variant": mi.variant(),
         }

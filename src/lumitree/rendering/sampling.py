@@ -114,8 +114,8 @@ class Reservoir:
     def add(self, weight: mi.Float, candidate: tuple[Any, ...]) -> None:
         """Add a candidate, and move `place` for the next one."""
         self.total += weight
-        part = dr.select(self.total > 0, weight / self.total, 0)
-        taken, self.choice = divide_sample(self.choice, part)
+        fraction = dr.select(self.total > 0, weight / self.total, 0)
+        taken, self.choice = divide_sample(self.choice, fraction)
         self.kept = dr.select(taken, candidate, self.kept)
         self.weight = dr.select(taken, weight, self.weight)
         self.place += self.step

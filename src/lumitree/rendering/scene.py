@@ -1,4 +1,4 @@
-"""Scenes with luminaires placed in them, their integrators, and the views of their cameras."""
+"""Scenes with luminaires placed in them, their integrators, and where their cameras look."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import os
 import warnings
 from collections.abc import Mapping, Sequence
-from typing import Any, cast
+from typing import Any, TypeAlias, cast
 
 import mitsuba as mi
 import numpy as np
@@ -40,6 +40,8 @@ _SEE_MEDIA = ("VolumetricPathIntegrator", "VolpathMisIntegratorImpl")
 # These become `lumitree_path`, or `volpath` where media are heterogeneous.
 _PATH_TRACERS = ("path", "lumitree_path")
 _DEFAULT_PATH_DEPTH = 16
+# Path of a scene file, dictionary as for `mitsuba.load_dict`, or scene.
+SceneSource: TypeAlias = "str | os.PathLike[str] | Mapping[str, Any] | mi.Scene"
 
 
 class PlacedLuminaire:
@@ -95,7 +97,7 @@ class PlacedLuminaire:
         """Whether images show its radiance field."""
         return self.asset is not None and not shows_geometry(self.asset, appearance)
 
-    def shapes(self, sampling: Sampling, appearance: Appearance) -> dict[str, Any]:
+    def shapes(self, sampling: Sampling, appearance: Appearance) -> dict[str, object]:
         """Shapes for `mitsuba.load_dict`; arguments as for `place_luminaires`."""
         if self.luminaire is not None:
             return place_shapes(self.luminaire, self.scene_from_world)
@@ -111,7 +113,7 @@ def _loaded(placement: Placement, metres: float) -> Luminaire | Asset:
     return asset.scaled(1 / metres) if asset.is_photometric and metres != 1 else asset
 
 
-def place_shapes(luminaire: LuminaireLike, scene_from_world: ArrayLike) -> dict[str, Any]:
+def place_shapes(luminaire: LuminaireLike, scene_from_world: ArrayLike) -> dict[str, object]:
     """Shapes of an explicit luminaire placed in a scene, for `mitsuba.load_dict`.
 
     Args:
@@ -158,7 +160,7 @@ def place_luminaires(
     Warns on standard error of objects in the box of a luminaire that does not light them there.
     """
     register()
-    objects: dict[str, Any] = {"type": "scene"}
+    objects: dict[str, object] = {"type": "scene"}
     objects |= {f"room_{i}": item for i, item in enumerate(reusable_shapes(scene))}
     objects |= {f"sensor_{i}": item for i, item in enumerate(scene.sensors())}
     if scene.environment() is not None:
@@ -175,7 +177,13 @@ def place_luminaires(
             )
         taken.add(place)
     _warn_rounded(luminaires)
-    _warn_unlit(scene, luminaires, sampling)
+    causes = {}
+    for placed in luminaires:
+        if placed.asset is not None and placed.asset.light_field is None:
+            causes[placed] = "the asset has no light field; bake it again"
+        elif placed.asset is not None and sampling == "uniform":
+            causes[placed] = 'use the sampling "emission"'
+    _warn_unlit(scene, causes)
     if luminaires:
         warn_of_overlaps(
             np.stack([placed.scene_from_box for placed in luminaires]),
@@ -199,7 +207,7 @@ def placed_ids(luminaires: Sequence[PlacedLuminaire]) -> list[str]:
 
 
 def load_scene(
-    source: Any,
+    source: SceneSource,
     luminaires: Sequence[PlacedLuminaire] = (),
     *,
     box_filter: bool = False,
@@ -247,10 +255,10 @@ def load_scene(
     heterogeneous = any_heterogeneous(scene)
     integrator = integrator_for(scene, described, title, heterogeneous=heterogeneous)
     if not records_layers(integrator):
-        for item in luminaires:
-            if item.placement.is_baked:
-                _warn_far(item)
-                _warn_unlit_by_volpath(scene, item)
+        baked = [item for item in luminaires if item.placement.is_baked]
+        for item in baked:
+            _warn_far(item)
+        _warn_unlit(scene, dict.fromkeys(baked, "volpath does not light it; lumitree_path does"))
     return scene, integrator
 
 
@@ -317,14 +325,14 @@ def _check_rgb(film: mi.Film, title: str) -> None:
     )
 
 
-def load_without_camera(source: Any) -> tuple[mi.Scene, Sequence[SceneShape]]:
+def load_without_camera(source: SceneSource) -> tuple[mi.Scene, Sequence[SceneShape]]:
     """A scene, as of `load_scene`, but it needs no camera; and its shapes as the file has them."""
     scene, _, shapes = _open(source, scene_title(source))
     return scene, shapes_of_scene(scene, shapes)
 
 
 def _open(
-    source: Any, title: str, *, box_filter: bool = False
+    source: SceneSource, title: str, *, box_filter: bool = False
 ) -> tuple[mi.Scene, mi.Properties | None, Sequence[SceneShape]]:
     """Scene, and, if they are known, properties of its integrator and its shapes."""
     register()  # the scene may name our plugins itself
@@ -336,14 +344,14 @@ def _open(
     return scene, described, shapes
 
 
-def scene_title(source: Any) -> str:
+def scene_title(source: SceneSource) -> str:
     """Name of a scene, as for `load_scene`, in messages."""
     if isinstance(source, Mapping | mi.Scene):
         return "the scene"
     return str(source)
 
 
-def _created_films(source: Any) -> list[Any]:
+def _created_films(source: SceneSource) -> list[object]:
     """The films of a scene, as for `load_scene`, that are created already, and other objects."""
     if isinstance(source, mi.Scene):
         return [sensor.film() for sensor in source.sensors()]
@@ -354,12 +362,12 @@ def _created_films(source: Any) -> list[Any]:
 
 
 def _create(
-    source: Any, title: str, *, box_filter: bool
+    source: str | os.PathLike[str] | Mapping[str, Any], title: str, *, box_filter: bool
 ) -> tuple[mi.Scene, mi.Properties | None, Sequence[SceneShape]]:
     """Scene of a file or a dictionary, properties of its integrator, and its shapes."""
     file = SceneFile(source)
     # Copied, since creating the scene clears the nodes.
-    described: list[Any] = [mi.Properties(n.props) for n in file.nodes("Integrator")][:1]
+    described = [mi.Properties(node.props) for node in file.nodes("Integrator")][:1]
     file.set_rgb_films()
     if box_filter:
         file.set_box_filter()
@@ -408,12 +416,12 @@ def _warn_rounded(luminaires: Sequence[PlacedLuminaire]) -> None:
         if is_far(reach, size):
             far.append((float32_step(reach) / size, float(reach.max()), placed))
     if far:
-        part, reach, placed = max(far, key=lambda each: each[0])
+        ratio, reach, placed = max(far, key=lambda each: each[0])
         others = "" if len(far) == 1 else f" and {len(far) - 1:,} others"
         warnings.warn(
             f"{placed.title}{others}: at {reach:.4g} units from the origin of the scene, "
-            f"coordinates are rounded to multiples of {float32_step(reach):.2g}, {part:.2%} of its "
-            "size; surfaces and shadows there are rough: move the scene to the origin",
+            f"coordinates are rounded to multiples of {float32_step(reach):.2g}, {ratio:.2%} of "
+            "its size; surfaces and shadows there are rough: move the scene to the origin",
             LumitreeWarning,
             stacklevel=3,
         )
@@ -435,29 +443,9 @@ def _warn_far(placed: PlacedLuminaire) -> None:
         )
 
 
-def _warn_unlit_by_volpath(scene: mi.Scene, placed: PlacedLuminaire) -> None:
-    """Warn of objects in a lamp's box, which `volpath` does not light."""
-    if contains_objects(scene.shapes(), placed.scene_from_box[None])[0]:
-        warnings.warn(
-            f"{placed.title}: an object of the room is inside its box, where volpath does not "
-            "light it; lumitree_path does",
-            LumitreeWarning,
-            stacklevel=3,
-        )
-
-
-def _warn_unlit(scene: mi.Scene, luminaires: Sequence[PlacedLuminaire], sampling: Sampling) -> None:
-    """Warn of baked luminaires that do not light objects in their boxes."""
-    causes = {}
-    for placed in luminaires:
-        asset = placed.asset
-        if isinstance(asset, Asset) and asset.light_field is None:
-            causes[placed] = "the asset has no light field; bake it again"
-        elif asset is not None and sampling == "uniform":
-            causes[placed] = 'use the sampling "emission"'
-    if not causes:
-        return
-    boxes = np.stack([placed.scene_from_box for placed in causes])
+def _warn_unlit(scene: mi.Scene, causes: Mapping[PlacedLuminaire, str]) -> None:
+    """Warn of objects in the boxes of luminaires that do not light them there."""
+    boxes = np.array([placed.scene_from_box for placed in causes]).reshape(-1, 4, 4)
     inside = contains_objects(scene.shapes(), boxes)
     for (placed, cause), has_objects in zip(causes.items(), inside, strict=True):
         if has_objects:

@@ -7,7 +7,7 @@ from typing import Any
 
 import mitsuba as mi
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from lumitree.asset.asset import Asset
 from lumitree.core.arguments import check_gain
@@ -96,7 +96,11 @@ def make_shapes(name: str, **options: Any) -> Any:
 
 
 def _proxy(
-    asset: Asset, matrix: Any, margin: float, gain: list[float], options: dict[str, Any]
+    asset: Asset,
+    matrix: NDArray[np.float64],
+    margin: float,
+    gain: list[float],
+    options: dict[str, object],
 ) -> _Shape:
     """The surface, larger than the box by a margin, with emitter and BSDF attached."""
     scale = np.diag([*(asset.frame.half_extents + margin), 1])

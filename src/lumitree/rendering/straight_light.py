@@ -153,10 +153,10 @@ class StraightLight:
             light /= pmf * (dr.squared_norm(offset) + size)
             reservoir.add(light, (cluster, pmf))
         total = dr.select(active, reservoir.mean, 0)
-        part = dr.select(total > 0, total / (total + target.total), 0)
-        straight = random.z < part
-        stored = target.factor / (1 - part)
-        target.factor = dr.select(straight, reservoir.factor / part, stored)
+        fraction = dr.select(total > 0, total / (total + target.total), 0)
+        straight = random.z < fraction
+        stored = target.factor / (1 - fraction)
+        target.factor = dr.select(straight, reservoir.factor / fraction, stored)
         cluster, pmf = reservoir.kept
         target.cell = dr.select(straight, cluster, target.cell)
         target.pmf = dr.select(straight, pmf, target.pmf)
@@ -395,11 +395,11 @@ class Elements:
             for i in range(_PACKETS)
         ]
         o, e1, e2, e3, colour = (mi.Vector3f(each.x, each.y, each.z) for each in packets)
-        kind, part, side = (mi.Int32(each.w) for each in packets[1:4])
+        kind, piece, side = (mi.Int32(each.w) for each in packets[1:4])
         inwards, kind = kind < 0, dr.abs(kind) - 1
         if self._divided:
-            row = part // dr.maximum(side, 1)
-            place += mi.Point2f(mi.Float(part - row * side), mi.Float(row))
+            row = piece // dr.maximum(side, 1)
+            place += mi.Point2f(mi.Float(piece - row * side), mi.Float(row))
             place = dr.minimum(place / mi.Float(side), dr.one_minus_epsilon(mi.Float))
         weights = self._weights(kind, place)
         along = weights.x * e1 + weights.y * e2
@@ -452,8 +452,10 @@ class Elements:
             total += weight * mi.Vector3f(packet.x, packet.y, packet.z)
         return total
 
-    def _block(self, surface: EmittingSurface, side: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
-        """Numbers of the elements of a surface [F], each divided into side² parts."""
+    def _block(
+        self, surface: EmittingSurface, side: NDArray[np.int64]
+    ) -> dict[str, NDArray[np.float64]]:
+        """Numbers of the elements of a surface [F], each divided into side² pieces."""
         count = len(surface.frame)
         table = np.zeros((count, _PACKETS, 4))
         table[:, :4, :3], table[:, 0, 3] = surface.frame, surface.areas / side**2
@@ -469,9 +471,9 @@ class Elements:
             given = surface.texcoords
             texcoords[..., :2] = _BARYCENTRIC if given is None else given
         numbers = {"table": table, "normals": normals, "texcoords": texcoords}
-        parts = side**2
-        numbers = {name: np.repeat(each, parts, axis=0) for name, each in numbers.items()}
-        first = np.repeat(np.cumsum(parts) - parts, parts)
+        pieces = side**2
+        numbers = {name: np.repeat(each, pieces, axis=0) for name, each in numbers.items()}
+        first = np.repeat(np.cumsum(pieces) - pieces, pieces)
         numbers["table"][:, 2, 3] = np.arange(len(first)) - first
         return numbers
 

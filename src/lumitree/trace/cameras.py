@@ -15,7 +15,7 @@ from lumitree.core.arguments import check_count, check_image_settings
 from lumitree.core.device import parameter
 from lumitree.core.executor import run_tasks
 from lumitree.core.files import exclusive
-from lumitree.core.frames import FIRST_TEST_INDEX, view_pose
+from lumitree.core.frames import FIRST_TEST_INDEX, rows_of, view_pose
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.errors import LumitreeError
@@ -260,7 +260,7 @@ def capture(
             Frame(
                 file=f"view_{index:06d}.exr",
                 halton_index=index,
-                local_from_camera=tuple(map(tuple, view_pose(index, distance).tolist())),
+                local_from_camera=rows_of(view_pose(index, distance)),
             )
             for index in range(first, first + views)
         ),

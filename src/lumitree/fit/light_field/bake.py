@@ -20,15 +20,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.light_field import MAX_DEPTH, LightField, TracedPaths, make_light_field
-from lumitree.asset.light_field_file import build_light_field, stored_light_field
+from lumitree.asset.light_field_file import LightDescription, build_light_field, stored_light_field
 from lumitree.core.checkpoint import Checkpoint
 from lumitree.core.executor import run_tasks
 from lumitree.core.files import json_text
 from lumitree.core.octahedral import bin_solid_angles, intensity_of_histogram, solid_angles
 from lumitree.core.photometry import luminance
 from lumitree.core.progress import progress
-from lumitree.core.reading import Record, parse_json
+from lumitree.core.reading import parse_json
 from lumitree.core.seeds import Purpose, SeedStream
+from lumitree.core.tables import converted
 from lumitree.errors import LumitreeError
 from lumitree.fit.light_field.inside import DISTANCES, EndingDraw, light_inside
 from lumitree.lamp.luminaire import LampWorkers, Luminaire, received_luminaire
@@ -129,7 +130,7 @@ def _saved(checkpoint: Checkpoint) -> LightField | None:
         if (arrays := checkpoint.load()) is None:
             return None
         description = parse_json(str(arrays.pop("description")))
-        return build_light_field(Record(description, "the light field"), arrays)
+        return build_light_field(converted(description, LightDescription), arrays)
     except (LumitreeError, KeyError):
         return None
 

@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 
 from lumitree.core.checkpoint import Arrays, Checkpoint, read_checkpoint
 from lumitree.core.files import WriteError, exclusive, is_empty
-from lumitree.core.frames import LocalFrame, file_keys, file_members
+from lumitree.core.frames import LocalFrame, file_members, with_frame
 from lumitree.core.interruption import deferred_interrupt
 from lumitree.core.progress import progress
-from lumitree.core.reading import Record, label
+from lumitree.core.reading import label
 from lumitree.core.seeds import check_seed
-from lumitree.errors import LumitreeError, shown
+from lumitree.core.tables import converted
+from lumitree.errors import LumitreeError
 from lumitree.fit.network.config import TrainConfig
 from lumitree.fit.network.rays import Batch, Occupancy, RaySet, load_rays
 from lumitree.fit.network.step import (
@@ -91,27 +92,11 @@ def load_run(folder: Path) -> Run:
     members, arrays = read_checkpoint(path)
     try:
         members.pop("lumitree", None)
-        record = _record(Record(members, "the run"))
+        record = converted(with_frame(members, "frame"), RunRecord)
         _, template = initial_state(record.config, initial_emission=0.5)
         return Run(record, _state(arrays, template), Occupancy.of_arrays(arrays))
     except (LumitreeError, KeyError) as error:
         raise LumitreeError(f"{path} is damaged ({error}); train again") from None
-
-
-def _record(data: Record) -> RunRecord:
-    data.expect_keys(*file_keys(RunRecord, "frame"))
-    try:
-        config = TrainConfig(**data.members("config"))
-    except TypeError as error:
-        raise LumitreeError(f"config: {shown(error, 200)}") from None
-    return RunRecord(
-        config=config,
-        seed=data.integer("seed"),
-        fingerprint=data.label("fingerprint"),
-        luminaire=data.label("luminaire"),
-        max_radiance=data.number("max_radiance"),
-        frame=LocalFrame.of_record(data),
-    )
 
 
 def _state(arrays: Arrays, template: TrainState) -> TrainState:

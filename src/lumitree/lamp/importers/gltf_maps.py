@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.materials import Texture
+from lumitree.core.frames import rows_of
 from lumitree.core.images import linear_from_srgb, resized, srgb_from_linear
 from lumitree.core.photometry import RGB
 from lumitree.errors import shown
@@ -267,7 +268,7 @@ class Textures:
             raw=not encoded,
             filter_type="nearest" if sampler.nearest else "bilinear",
             wrap_mode=sampler.wrap[0],
-            to_uv=tuple(map(tuple, source.uv_transform.tolist())),
+            to_uv=rows_of(source.uv_transform),
         )
 
 

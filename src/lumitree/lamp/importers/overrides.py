@@ -25,7 +25,7 @@ from lumitree.core.photometry import (
     blackbody_colour,
     radiance_from_flux,
 )
-from lumitree.core.toml_file import Range, converted, read_toml
+from lumitree.core.tables import Range, converted, read_toml
 from lumitree.errors import LumitreeError, LumitreeWarning, shown, shown_names
 from lumitree.lamp.importers.topology import count_solids
 from lumitree.lamp.materials import WHITE, Material, Value, glass, metal

@@ -1,8 +1,8 @@
-"""Tests of `lumitree.core.toml_file`."""
+"""Tests of `lumitree.core.tables`."""
 
 import pytest
 
-from lumitree.core.toml_file import read_toml
+from lumitree.core.tables import read_toml
 from lumitree.errors import LumitreeError
 
 DEEP = ".".join("a" * 11)
