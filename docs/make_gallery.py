@@ -42,7 +42,7 @@ def main() -> None:
         if (size := page.page_bytes) > LARGEST_PAGE:
             raise SystemExit(f"{lamp.name}: {size:,} bytes; expected at most {LARGEST_PAGE:,}")
         stream = io.BytesIO()
-        image = portrait(lumitree.load(lamp.path), PIXELS, SAMPLES)
+        image = portrait(lumitree.load(lamp.path), PIXELS, SAMPLES).pixels
         Image.fromarray(image).save(stream, "JPEG", quality=85)
         write_bytes(THUMBNAILS / f"{lamp.name}.jpg", stream.getvalue())
         print(

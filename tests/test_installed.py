@@ -35,7 +35,7 @@ def bake_and_render(folder, **changes):
     """A bake in seconds, a room with it, and its figures, by the command line."""
     (folder / "lamp.xml").write_text(BALL, encoding="utf-8")
     (folder / "room.xml").write_text(room(32, 32), encoding="utf-8")
-    few = "parts = ['light']\nirradiance_paths = 0\n[light_field]\npaths = 65536\nbatch = 65536\n"
+    few = "parts = ['light']\nirradiance_paths = 0\n[light]\npaths = 65536\nbatch = 65536\n"
     (folder / "few.toml").write_text(few, encoding="utf-8")
     bake = ["bake", "lamp.xml", "-o", "lamp.lumitree", "--quality", "preview"]
     results = [run(folder, *bake, "--config", "few.toml", **changes)]

@@ -4,6 +4,7 @@
 without a network, by what the extra `dev` installs.
 """
 
+import dataclasses
 import os
 import shutil
 import subprocess
@@ -22,7 +23,7 @@ from lumitree import __version__
 pytestmark = pytest.mark.slow
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "src" / "lumitree"
-# What the source distribution has beside the package and what setuptools adds.
+# Files of the source distribution beside the package; setuptools adds two of them.
 BESIDE = {
     *("CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md", "LICENSE", "MANIFEST.in", "README.md"),
     *("SECURITY.md", "constraints.txt", "pyproject.toml", "setup.cfg", "PKG-INFO"),
@@ -84,13 +85,17 @@ def test_the_wheel_has_the_package_alone(distributions):
 def test_the_wheel_says_what_it_needs(distributions):
     wheel, _ = distributions
     files = contents(wheel)
-    metadata = BytesParser().parsebytes(files[f"lumitree-{__version__}.dist-info/METADATA"])
+    info = f"lumitree-{__version__}.dist-info"
+    metadata = BytesParser().parsebytes(files[f"{info}/METADATA"])
     assert metadata["Version"] == __version__
     assert metadata["License-Expression"] == "BSD-3-Clause"
     assert metadata["Requires-Python"] == ">=3.11"
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert metadata.get_payload(decode=True).decode().strip() == readme.strip()
-    assert any(each.startswith("mitsuba<3.10,>=3.9") for each in metadata.get_all("Requires-Dist"))
+    _, _, description = files[f"{info}/METADATA"].decode().partition("\n\n")
+    assert description.strip() == readme.strip()
+    assert any(
+        each.startswith("mitsuba<3.10,>=3.9") for each in metadata.get_all("Requires-Dist", [])
+    )
     # Places of the machine that built it.
     assert not [name for name, data in files.items() if str(ROOT).encode() in data]
 
@@ -110,12 +115,35 @@ def test_the_source_distribution_makes_the_same_wheel(distributions, tmp_path):
     assert contents(again) == contents(wheel)
 
 
+@dataclasses.dataclass(frozen=True)
+class Program:
+    """An installed program: a call runs it, or another one, in a folder and returns its output."""
+
+    path: Path
+    folder: Path
+    python: Path
+    site: Path
+
+    def __call__(self, *arguments, program=None):
+        environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+        result = subprocess.run(
+            [program or self.path, *arguments],
+            cwd=self.folder,
+            env=environment,
+            capture_output=True,
+            text=True,
+            encoding="utf-8",
+        )
+        assert result.returncode == 0, result.stderr
+        return result.stdout
+
+
 @pytest.fixture(scope="module")
 def program(distributions, tmp_path_factory):
-    """Runs the installed program in a folder; its libraries are those of this environment.
+    """The installed program, which uses the libraries of this environment.
 
     The wheel is installed into a new environment. A .pth file names the folders of its libraries,
-    so nothing is downloaded; .pth files of theirs, as that of an editable lumitree, have no effect.
+    so nothing is downloaded; .pth files in these, as of an editable lumitree, have no effect.
     """
     wheel, _ = distributions
     home = tmp_path_factory.mktemp("with space") / "Umgebung ü"
@@ -132,28 +160,14 @@ def program(distributions, tmp_path_factory):
     folder = tmp_path_factory.mktemp("work") / FOLDER
     folder.mkdir()
 
-    def run(*arguments, program=scripts / "lumitree"):
-        environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
-        result = subprocess.run(
-            [program, *arguments],
-            cwd=folder,
-            env=environment,
-            capture_output=True,
-            text=True,
-            encoding="utf-8",
-        )
-        assert result.returncode == 0, result.stderr
-        return result.stdout
-
-    run.folder, run.python, run.site = folder, python, Path(own)
-    return run
+    return Program(scripts / "lumitree", folder, python, Path(own))
 
 
 def test_the_installed_program_runs(program):
     code = "import lumitree; print(lumitree.__file__)"
     where = program("-c", code, program=program.python)
     assert Path(where.strip()).is_relative_to(program.site)
-    assert "usage: lumitree" in program("--help")
+    assert "Usage: lumitree" in program("--help")
     assert program("--version").strip() == f"lumitree {__version__}"
     assert "bulbs" in program("list")
     program("blender-extension", "-o", "lumitree.zip")

@@ -2,6 +2,7 @@
 
 import contextlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -30,7 +31,7 @@ SKY = '<emitter type="constant"><rgb name="radiance" value="0.5,0.5,0.5"/></emit
 ROOM = room(16, 12, SKY)
 # Pixels of the room, and samples per pixel of a pass.
 PIXELS, SAMPLES = 16 * 12, 4
-CAPTURE = {"views": 5, "resolution": 8, "spp": 4}
+CAPTURE: dict[str, Any] = {"views": 5, "resolution": 8, "spp": 4}
 PATHS = 1 << 14
 
 
@@ -166,10 +167,11 @@ def test_what_cannot_be_sent_is_refused_before_any_work(mi, folder):
         lumitree.render({"type": "scene", "scene": scene}, executor=executor)
     with pytest.raises(LumitreeError, match="cannot be sent to other processes"):
         lumitree.capture(mi.load_file("lamp.xml"), "views", **CAPTURE, executor=executor)
+    two: Any = "two"
     for call in (
-        lambda: lumitree.bake("lamp.xml", executor="two"),
-        lambda: lumitree.capture("lamp.xml", "views", executor="two"),
-        lambda: lumitree.render("room.xml", executor="two"),
+        lambda: lumitree.bake("lamp.xml", executor=two),
+        lambda: lumitree.capture("lamp.xml", "views", executor=two),
+        lambda: lumitree.render("room.xml", executor=two),
     ):
         with pytest.raises(LumitreeError, match=r"^executor is a builtins\.str; expected a"):
             call()
@@ -192,7 +194,7 @@ def test_a_luminaire_that_differs_is_refused(folder, monkeypatch):
 
 @pytest.fixture
 def shared_by(monkeypatch):
-    """An executor in place of those of the options."""
+    """An executor in place of the executors that the options name."""
     executor, asked = LastFirst(), []
 
     @contextlib.contextmanager

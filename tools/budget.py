@@ -26,14 +26,14 @@ LINES = {
     "many": 600,
     "measure": 5_120,
     "octree": 1_050,
-    "rendering": 9_300,
+    "rendering": 9_420,
     "trace": 1_900,
     "viewer": 1_250,
 }
 FILES = 216
 OTHERS = {
     "lines of tests": 42_100,
-    "lines of benchmarks": 9_800,
+    "lines of benchmarks": 9_850,
     "words of docs by hand": 45_000,
     "lines of README.md": 90,
     "files that use the word gain": 12,

@@ -86,6 +86,8 @@ def test_loaded_equals_saved(files, tmp_path):
     assert (light.num_leaves, light.info.nodes, light.info.leaves) == (0, 1, 0)
     assert not light.children.any()
     spectral = load(files["spectrum"])
+    assert spectral.spectrum is not None
+    assert SPECTRUM is not None
     assert spectral.spectrum.power.tolist() == SPECTRUM.power.tolist()
     assert_equal_fields(spectral.light_field, LIGHT)
     assert_equal_fields(load(files["inside"]).light_field, INSIDE)
@@ -96,10 +98,13 @@ def test_the_size_and_other_figures(files):
     assert both.num_bytes == plain.num_bytes + LIGHT.num_bytes
     assert (plain.info.light_field_cells, both.info.light_field_cells) == (0, len(LIGHT.cells))
     assert (plain.info.light_inside_cells, plain.info.light_field_paths) == (0, None)
+    assert INSIDE.inside is not None
     assert inside.info.light_inside_cells == len(INSIDE.inside.cells)
     other = with_geometry(small_geometry())
+    assert other.light_field is not None
     assert inside.num_bytes == other.num_bytes - other.light_field.num_bytes + INSIDE.num_bytes
     spectrum, factors = load(files["spectrum"]), load(files["factors"])
+    assert spectrum.spectrum is not None
     assert spectrum.spectrum.share == spectrum.info.spectrum_share == 0.75
     assert plain.spectrum is plain.info.spectrum_share is None
     assert factors.light_factors == factors.info.light_factors == (0.5, 0.0, 2e3)
@@ -110,6 +115,7 @@ def test_the_size_and_other_figures(files):
 def test_the_record_of_light_paths_is_kept(tmp_path, noise):
     traced = TracedPaths(1 << 40, (0, 2, 2**31 - 1), 64 * "f", noise)
     found = again(replace(PLAIN, light_field=random_light_field(0, traced=traced)), tmp_path)
+    assert found.light_field is not None
     assert found.light_field.traced == traced
     assert (found.info.light_field_paths, found.info.light_field_noise) == (1 << 40, noise)
 
@@ -117,6 +123,7 @@ def test_the_record_of_light_paths_is_kept(tmp_path, noise):
 def test_the_fewest_and_the_most_bins_are_kept(tmp_path):
     """Inside the box, four coarse bins are half a byte."""
     few = with_inside(0, LIGHT)
+    assert few.inside is not None
     assert few.inside.lit.shape == (7, 1)
     fine = make_light_field(np.array([[127, 0, 127]]), np.ones((1, 128**2, 3)), 7)
     for field in (few, fine):
@@ -433,7 +440,7 @@ def test_a_field_is_rounded_by_no_more_than_is_stated(l_max, scale):
     others = np.select([brightest >= -8, brightest >= -16], [1 / 8, 1 / 2], 1)
     steps = np.repeat(others[:, None, None], size[2], axis=2)
     steps[..., 0] = 1 / 64
-    # Of R and B the error is that of G and of the difference to it.
+    # R and B are stored as differences to G, so they have the errors of G and of the difference.
     steps = steps * np.array([1, 0.5, 1])[:, None]
     assert (error <= steps + np.spacing(largest)).all()
     assert (np.abs(stored.density / np.maximum(asset.density, 1e-37) - 1) <= 1 / 32)[1:].all()

@@ -118,11 +118,14 @@ def with_media(inside):
 def test_other_geometries_come_back(tmp_path, geometry, inside):
     """With light inside the box and without it."""
     asset = with_geometry(geometry)
+    assert asset.light_field is not None
     if inside:
         asset = replace(asset, light_field=with_inside(0, asset.light_field))
     save(asset, tmp_path / "lamp.lumitree")
     found = load(tmp_path / "lamp.lumitree")
     equal(found.geometry, geometry)
+    assert found.geometry is not None
+    assert found.light_field is not None
     assert found.geometry.has_media == bool(geometry.images)
     assert (found.light_field.inside is not None) == inside
 
@@ -269,7 +272,7 @@ def test_mutated_geometries_load_soundly_or_are_refused_in_a_line(original, tmp_
         if refused(lambda: load(path)):
             refusals += 1
         else:
-            # What is accepted can be made again.
+            # An accepted geometry passes its own checks again.
             found = load(path).geometry
             equal(AssetGeometry(**{name: getattr(found, name) for name in vars(found)}), found)
     assert refusals > ROUNDS / 3

@@ -107,11 +107,14 @@ def test_errors_are_without_noise(bias, bake_noise):
     bakes = noisy(pattern * truth, bake_noise, (2, 1))
     baked = noisy(bakes, 0.1, (2, 2))
     found = patch_errors(baked, noisy(truth, 0.3, (16,)), np.ones(truth.shape, bool))
+    assert found is not None
     assert found.patches == 900
     assert found.ratio == pytest.approx(1, abs=0.03)
     assert found.ratio_error == pytest.approx(0.3 / np.sqrt(16 * 900), abs=0.006)
-    # What is left of the noise of 900 squared differences.
+    # The mean of 900 squared differences keeps some of their noise.
     assert found.rms**2 == pytest.approx(bias**2, abs=0.005)
     assert found.rms_error < 0.05
     assert found.rms_of_one == pytest.approx(np.hypot(bias, bake_noise), abs=0.02)
-    assert over_planes([found, found])["rms"] == pytest.approx(found.rms)
+    planes = over_planes([found, found])
+    assert planes is not None
+    assert planes["rms"] == pytest.approx(found.rms)

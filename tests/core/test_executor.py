@@ -98,10 +98,10 @@ def test_errors_can_be_pickled(error):
 def test_an_executor_of_another_kind_is_refused():
     check_executor(None)
     with pytest.raises(LumitreeError, match=r"executor is a builtins\.int; expected a concurrent"):
-        check_executor(3)
+        check_executor(3)  # pyright: ignore[reportArgumentType]
     with (
         pytest.raises(LumitreeError, match="executor is a"),
-        run_tasks(object(), executors.double, [(1,)], what="numbers"),
+        run_tasks(object(), executors.double, [(1,)], what="numbers"),  # pyright: ignore[reportArgumentType]
     ):
         pass
 
@@ -149,7 +149,7 @@ def test_the_loss_of_a_worker_is_one_line(error, loss):
 
 
 def test_tasks_run_with_the_variant_that_was_set_where_they_were_submitted(monkeypatch):
-    """What a worker keeps from an earlier task is of that variant."""
+    """A worker keeps objects of an earlier task's variant, which another variant cannot use."""
     loaded = []
     monkeypatch.setattr("lumitree.core.backend.load_mitsuba", loaded.append)
     # As after a task that has used it.
@@ -247,7 +247,7 @@ def start_script(folder):
     deadline = time.monotonic() + LONG
     while len(list(tasks.iterdir())) < 2:
         assert time.monotonic() < deadline
-        assert process.poll() is None, process.stderr.read()
+        assert process.poll() is None, process.communicate()[1]
         time.sleep(0.01)
     return process, [int(path.name.partition(".")[2]) for path in tasks.iterdir()]
 
@@ -358,7 +358,7 @@ def test_dask_gives_results_errors_and_warnings(cluster):
 
 @DASK
 def test_dask_without_a_scheduler_or_workers_is_one_line(cluster):
-    import dask
+    import dask.config
 
     with dask.config.set({"distributed.comm.timeouts.connect": "0.1s"}):
         for address in ("tcp://127.0.0.1:9", "nowhere at all"):

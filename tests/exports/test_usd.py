@@ -41,13 +41,13 @@ def meshes_of(pxr, stage):
 
 
 def flux_of(prim, lumens):
-    """Flux [3] of R, G and B, W, as the schema of UsdLux has it: see `output.usd.lights`."""
+    """Flux [3] of R, G and B, W, as the schema of UsdLux has it: see `exports.usd`."""
     assert prim.GetAttribute("inputs:normalize").Get() is True
     return luminous_intensity(prim) * lumens / 683
 
 
 def problems(stage_path):
-    """What the validators that are part of OpenUSD find.
+    """Problems found by the validators that are part of OpenUSD.
 
     The package usd-core has no definitions of the nodes of MaterialX, which OpenUSD can be built
     with; that one is missing is not a problem.
@@ -139,7 +139,7 @@ def test_materials_have_the_numbers_of_the_lamp(pxr, tmp_path):
     emitted = surface_input(pxr, metal, "emissiveColor").Get()
     np.testing.assert_allclose(emitted, 683 * np.array([3, 2, 1]), rtol=1e-6)
     assert surface_input(pxr, glass, "ior").Get() == pytest.approx(1.5, abs=1e-3)
-    # What a smooth surface of glass reflects straight back.
+    # The reflectance of smooth glass at normal incidence.
     assert surface_input(pxr, glass, "opacity").Get() == pytest.approx(0.04, abs=1e-3)
     image = surface_input(pxr, textured, "diffuseColor").GetConnectedSources()[0][0].source
     path = pxr.UsdShade.Shader(image).GetInput("file").Get().resolvedPath

@@ -50,19 +50,24 @@ def test_figures_and_sheet_of_an_asset(tmp_path, monkeypatch, mi, capsys):
     monkeypatch.chdir(tmp_path)
     field = uniform_asset(50.0, (5, 5, 5), law="exponential")
     lumitree.save(field, "lamp.lumitree")
-    result = lumitree.preview("lamp.lumitree", resolution=32)
+    result = lumitree.preview("lamp.lumitree", sheet=True, resolution=32)
     # An opaque cube of side 2 and radiance 5: an area of 24 times 5 pi.
     assert result.lumens == pytest.approx(683 * 24 * 5 * np.pi, rel=0.02)
     assert result.size == (2, 2, 2)
     assert result.parts == ("field",)
     rows = {Image.open(io.BytesIO(result.png)).size}
     light_field = lumitree.preview(
-        light_field_asset(random_light_field(2), field.frame, "x"), resolution=32
+        light_field_asset(random_light_field(2), field.frame, "x"), sheet=True, resolution=32
     )
     assert {Image.open(io.BytesIO(light_field.png)).size} == rows
     assert light_field.lumens > 0
-    assert main(["preview", "lamp.lumitree", "-o", "sheet.png", "--resolution", "32"]) == 0
+    command = ["preview", "lamp.lumitree", "-o", "sheet.png", "--resolution", "32"]
+    assert main([*command, "--sheet"]) == 0
     assert (tmp_path / "sheet.png").read_bytes() == result.png
     assert "lumens" in capsys.readouterr().out
-    assert main(["preview", "lamp.lumitree", "-o", "sheet.png", "--bounces"]) == 2
+    assert main(command) == 0
+    photograph = Image.open(tmp_path / "sheet.png")
+    assert photograph.size == (32, 32)
+    assert (np.array(photograph)[16, 16] > np.array(photograph)[0, 0]).all()
+    assert main([*command, "--bounces"]) == 2
     assert "an asset has no paths" in capsys.readouterr().err

@@ -20,7 +20,7 @@ MOST = 1 << 20
 
 @pytest.fixture
 def lamp_of_cost(mi, monkeypatch):
-    """Function that makes images take 0.3 s, and so many seconds for a sample of every pixel."""
+    """Function that makes images take 0.01 s, and so many seconds for a sample of every pixel."""
     from lumitree.trace import cameras
 
     def made(of_sample):
@@ -31,7 +31,7 @@ def lamp_of_cost(mi, monkeypatch):
                 self._samples = samples
 
             def take(self, *_):
-                now[0] += 0.3 + of_sample * self._samples
+                now[0] += 0.01 + of_sample * self._samples
 
         clock = SimpleNamespace(monotonic=lambda: now[0], process_time=lambda: now[0])
         monkeypatch.setattr(evaluate, "clocks", clock)

@@ -151,7 +151,14 @@ def test_a_file_that_states_no_colour_has_none(folder):
     file = lumitree.photometry("a.ies", ["b.html"], step=30, paths=PATHS)
     assert lamp.colour_temperature is not None
     assert (file.colour_temperature, file.duv) == (None, None)
+    assert len(file.near_field) == len(lamp.near_field)
     assert "not known" in (folder / "b.html").read_text(encoding="utf-8")
+    # Without rays the intensities are the same, and there is no far field.
+    known = lumitree.photometry("a.ies", ["c.html", "c.pdf", "c.ldt"], step=30)
+    assert (known.rays, known.near_field) == (0, [])
+    np.testing.assert_array_equal(known.intensity, file.intensity)
+    assert known.opening == file.opening
+    assert "Far field" not in (folder / "c.html").read_text(encoding="utf-8")
     # Nor has the asset of it.
     asset = lumitree.bake("a.ies").asset
     assert lumitree.photometry(asset, step=30, paths=PATHS).colour_temperature is None

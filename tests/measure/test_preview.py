@@ -54,7 +54,7 @@ def test_views_show_pixels_one_to_one_where_legible(resolution, side):
     opacity = np.ones((resolution, resolution), np.float32)
     radiance = np.repeat(opacity[..., None], 3, axis=-1)
     views = dict.fromkeys(VIEWS, ViewImages(radiance, opacity, opacity))
-    sheet = draw_preview(Preview(views, [tonemap(radiance)] * 6, 1.0), "lamp", [])
+    sheet = draw_preview(Preview(views, [tonemap(radiance)] * 6), "lamp", [])
     box = sheet.axes[0].get_window_extent()
     assert (box.width, box.height) == pytest.approx((side, side))
 
@@ -105,11 +105,11 @@ def test_the_brighter_row_brings_what_is_lit_to_middle_grey():
     radiance[:9] = 0.01
     radiance[0] = 50.0
     opacity = np.ones((10, 10), np.float32)
-    preview = Preview({"a": ViewImages(radiance, opacity, opacity)}, [], 1.0)
+    preview = Preview({"a": ViewImages(radiance, opacity, opacity)}, [])
     assert preview.exposure == pytest.approx(0.9 / 50)
     # 0.01 is to become 0.18: 1000 times the exposure of what emits.
     assert preview.more_stops == 10
-    black = Preview({"a": ViewImages(np.zeros_like(radiance), opacity, opacity)}, [], 1.0)
+    black = Preview({"a": ViewImages(np.zeros_like(radiance), opacity, opacity)}, [])
     assert (black.exposure, black.more_stops) == (pytest.approx(1), 2)
     darker = dataclasses.replace(preview, exposed=-1.0)
     assert darker.ev == pytest.approx(preview.ev + 1)

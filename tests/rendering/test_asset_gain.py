@@ -108,6 +108,7 @@ def test_photometry_and_the_viewer_have_it(mi):
     plain, gained = (each.watts.sum(axis=0) for each in both)
     np.testing.assert_allclose(gained, plain * GAIN, rtol=0.05)
     packed = pack_asset(brighter(asset))
+    assert asset.light_field is not None
     field = packed.description["field"]
     colour = np.array(field["colour"]) * field["max_radiance"]
     np.testing.assert_allclose(colour, np.multiply(GAIN, asset.max_radiance))
@@ -123,7 +124,7 @@ def test_photometry_and_the_viewer_have_it(mi):
 def test_flux_and_temperature_that_are_asked_for(mi, asset):
     warm = with_light(asset, 800.0, 2700.0)
     watts = asset_watts(warm)
-    # Of a field the flux is an estimate.
+    # The flux of a field is an estimate.
     exact = 1e-6 if asset.light_field is not None else 0.01
     assert luminance(watts) == pytest.approx(800, rel=exact)
     assert colour_temperature(watts)[0] == pytest.approx(2700, rel=0.001 + exact)

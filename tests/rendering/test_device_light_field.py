@@ -233,7 +233,7 @@ def test_rays_carry_the_flux_of_every_bin(mi, light):
     green = flux[:, 1]
     found = np.bincount(index, green, parts) / count
     variance = np.bincount(index, green**2, parts) / count**2
-    # Of the radiance that receivers get, which is linear between the middles of bins.
+    # The radiance that receivers get is linear between the middles of bins.
     many = 1 << 14
     bins = np.repeat(np.arange(RESOLUTION**2), many)
     within = uniform_samples(mi, len(bins), 1).next_2d()
@@ -285,7 +285,7 @@ def sphere_like(radiance):
 def test_a_wall_gets_the_light_of_all_points_of_the_cells(mi, kind, point, normal):
     """An asset of this part alone, turned and scaled, with either integrator."""
     field = sphere_like([4.0, 2.0, 1.0])
-    asset = light_field_asset(field, LocalFrame([1, 1, 1], np.eye(4)), "test")
+    asset = light_field_asset(field, LocalFrame(np.ones(3), np.eye(4)), "test")
     shape = lumitree.shape(asset, TURNED)
     found, error = irradiance(mi, {"lamp": shape}, point, normal, kind=kind, samples=1 << 18)
     random = np.random.default_rng(0)
@@ -368,7 +368,7 @@ def test_each_surface_gets_the_light_once(mi, bsdf, height):
 def test_light_by_way_of_a_mirror_counts_in_full(mi):
     """A wall that gets the lamp's light by a mirror alone: next-event estimation finds none."""
     asset = light_field_asset(
-        sphere_like([4.0, 2.0, 1.0]), LocalFrame([1, 1, 1], np.eye(4)), "test"
+        sphere_like([4.0, 2.0, 1.0]), LocalFrame(np.ones(3), np.eye(4)), "test"
     )
     to = mi.ScalarTransform4f
     grey = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.0}}
@@ -404,8 +404,9 @@ def test_light_by_way_of_a_mirror_counts_in_full(mi):
 def test_a_camera_sees_the_field_and_a_wall_gets_the_light_field_light(mi):
     """Directly and by a mirror; nothing counts twice."""
     opaque = uniform_asset(1e4, [1.0, 1.0, 1.0])
-    divided = dataclasses.replace(opaque, light_field=sphere_like([4.0, 2.0, 1.0]))
-    alone = light_field_asset(divided.light_field, divided.frame, "test")
+    field = sphere_like([4.0, 2.0, 1.0])
+    divided = dataclasses.replace(opaque, light_field=field)
+    alone = light_field_asset(field, divided.frame, "test")
     place = similarity(np.eye(3), 0.3, [0, 1, 0])
     lamp = {"lamp": lumitree.shape(divided, place)}
     to = mi.ScalarTransform4f
@@ -510,7 +511,7 @@ def test_a_camera_in_a_field_sees_what_is_before_it(mi, sampling):
 
 
 def test_parallel_rays_see_the_mean_over_bins(mi):
-    """As those of an orthographic camera, which all have one direction."""
+    """The rays of an orthographic camera are parallel."""
     from lumitree.rendering.device_light import DeviceLight, bins_around
 
     random = np.random.default_rng(6)

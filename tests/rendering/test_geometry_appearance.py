@@ -1,6 +1,7 @@
 """The geometry of an asset in images: against the explicit lamp, and what it must not change."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -64,7 +65,7 @@ def shaded(make):
     return make(SHADED)
 
 
-def baked(asset, appearance="geometry", place=PLACE, **options):
+def baked(asset, appearance: Any = "geometry", place=PLACE, **options):
     return {"lamp": lumitree.shape(asset, place, appearance=appearance, **options)}
 
 
@@ -153,11 +154,11 @@ VIEWS = {
 }
 
 
-DEEP = {"max_depth": 24, "rr_depth": 24}
+DEEP: dict[str, Any] = {"max_depth": 24, "rr_depth": 24}
 
 
 def before_a_panel(name, **objects):
-    """What a view shows besides the lamp."""
+    """Objects of a view besides the lamp."""
     origin, target, fov = VIEWS[name]
     back = panel([0.2, 1, -2], [0, 1, 0], 1.6, [0.6, 0.9, 1.4])
     return {"sensor": camera(origin, target, fov), "back": back, **objects}
@@ -165,7 +166,7 @@ def before_a_panel(name, **objects):
 
 @pytest.mark.parametrize("name", slow_but(["inside the bulb"], VIEWS))
 def test_specular_paths_see_the_lamp_as_it_is(specular, name):
-    """Images of glass, mirrors and the filament are those of the explicit lamp."""
+    """Glass, mirrors and the filament look as in images of the explicit lamp."""
     lamp, asset = specular
     objects = before_a_panel(name, **mirror_and_ball())
     ours = passes(objects | baked(asset), **DEEP)
@@ -202,7 +203,8 @@ def test_other_lights_are_tinted_by_glass(make):
         "window": panel([0, 3, 0], [0, 0, 0], 0.1, [600, 500, 400]),
     }
     # Close to the floor below it and wide, so that all light crosses it nearly perpendicularly.
-    place, options = similarity(np.eye(3), 0.8, [0, 0.6, 0]), {"max_depth": 2}
+    place = similarity(np.eye(3), 0.8, [0, 0.6, 0])
+    options: dict[str, Any] = {"max_depth": 2}
     pane = PANE.replace('y="0.001"', 'y="0.05"')
     assert pane != PANE
     clear = passes(objects | baked(make(pane)[1], place=place), **options)
@@ -237,7 +239,7 @@ def test_direct_light_is_the_light_field_once(specular, bsdf):
     """A floor gets the same with the geometry as with the field: nothing is added by the shapes."""
     _, asset = specular
     objects = {"sensor": camera([0.9, 1.2, 2.4], [0.4, 0, 1.2], 25), "floor": floor(bsdf)}
-    options = {"max_depth": 2}
+    options: dict[str, Any] = {"max_depth": 2}
     ours = passes(objects | baked(asset), spp=2048, **options)
     field = passes(objects | baked(asset, "field"), spp=2048, seed=500, **options)
     assert ours.mean() > 1e-3
@@ -294,7 +296,7 @@ def lit_room():
 def test_a_lamp_that_is_nearly_dark_is_an_object_of_the_room(make):
     """It reflects the light of others, is reflected, and its opaque parts cast true shadows."""
     lamp, asset = make(DARK)
-    options = {"max_depth": 8}
+    options: dict[str, Any] = {"max_depth": 8}
     ours = passes(lit_room() | baked(asset), spp=2048, **options)
     theirs = passes(lit_room() | explicit(lamp), "path", spp=2048, seed=500, **options)
     assert_same_expectation(ours, theirs)
@@ -324,7 +326,7 @@ def test_other_lights_pass_glass_with_its_fresnel_transmittance(make):
         "to_world": mi.ScalarTransform4f().translate([0, 1, 0]).rotate([1, 0, 0], 90).scale(0.72),
         "bsdf": SHEET,
     }
-    options = {"max_depth": 6, "rr_depth": 100}
+    options: dict[str, Any] = {"max_depth": 6, "rr_depth": 100}
     ours = passes(objects | baked(asset, place=place), spp=2048, **options)
     sheet = passes(objects | {"sheet": sheet}, spp=2048, seed=500, **options)
     open_ = passes(objects, spp=2048, seed=900, **options)
@@ -346,7 +348,7 @@ def test_the_light_of_another_lamp_is_blocked_by_opaque_parts_alone(make, shaded
         "floor": floor({"type": "diffuse"}),
     }
     other = {"other": lumitree.shape(asset, above, appearance="geometry")}
-    options = {"max_depth": 4}
+    options: dict[str, Any] = {"max_depth": 4}
     ours = passes(objects | other | baked(dark_asset, place=below), spp=2048, **options)
     theirs = passes(objects | other | explicit(dark, below), spp=2048, seed=500, **options)
     assert_same_expectation(ours, theirs)
@@ -370,7 +372,7 @@ def test_a_receiver_that_touches_the_box_gets_its_light_once(make):
         ceiling = {"type": "rectangle", "to_world": to_world, "bsdf": {"type": "diffuse"}}
         sensor = camera([0.9, -0.4, 0.1], [0.9, half, 0], 70, up=(1, 0, 0))
         objects = {"sensor": sensor, "ceiling": ceiling}
-        options = {"max_depth": 2}
+        options: dict[str, Any] = {"max_depth": 2}
         ours = passes(objects | baked(asset, place=place), spp=2048, **options)
         field = passes(objects | baked(asset, "field", place), spp=2048, seed=500, **options)
         assert_same_expectation(ours, field)
@@ -382,7 +384,7 @@ def test_rough_surfaces_of_the_lamp_show_its_own_light(make, rr_depth):
     """Next-event estimation and paths that hit the filament, weighted against each other."""
     lamp, asset = make(LIT)
     objects = {"sensor": camera([0.2, 0.3, 1.6], [0, 1, 0], 45)}
-    options = {"max_depth": 6, "rr_depth": rr_depth}
+    options: dict[str, Any] = {"max_depth": 6, "rr_depth": rr_depth}
     ours = passes(objects | baked(asset), spp=2048, **options)
     theirs = passes(objects | explicit(lamp), "path", spp=2048, seed=500, **options)
     assert_same_expectation(ours, theirs)
@@ -440,7 +442,7 @@ def test_a_surface_gets_the_own_light_of_its_lamp_alone(make, shaded):
     above, below = (similarity(np.eye(3), 0.3, [0, y, 0]) for y in (1.6, 0.9))
     objects = {"sensor": camera([0, 1.2, 1.6], [0, 0.95, 0], 25)}
     objects["other"] = lumitree.shape(asset, above, appearance="geometry")
-    options = {"max_depth": 3}
+    options: dict[str, Any] = {"max_depth": 3}
     ours = passes(objects | baked(dark_asset, place=below), spp=2048, **options)
     theirs = passes(objects | explicit(dark, below), spp=2048, seed=500, **options)
     assert ours.mean() > 1e-3
@@ -470,7 +472,7 @@ def test_light_paths_start_at_the_box_of_a_lamp_with_geometry(shaded):
 
 @pytest.mark.slow
 def test_other_integrators_light_a_room_alike(shaded):
-    """Whatever the lamp shows: what leaves its box is that of the light field."""
+    """The room gets the light of the light field, whatever part the lamp shows."""
     _, asset = shaded
     view = camera([0, 1.2, 3], [0, 0, 0.0])
     below = {"floor": floor({"type": "diffuse"}), "sensor": view}

@@ -1,6 +1,7 @@
 """Lamps of opal glass shown by their geometries, against the explicit lamps."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -41,7 +42,7 @@ MILK = (
     '<phase type="hg"><float name="g" value="0.3"/></phase></medium>'
 )
 PLACE = similarity(rotation([0, 1, 1], 20), 0.4, [0, 1, 0])
-DEEP = {"max_depth": 200, "rr_depth": 40}
+DEEP: dict[str, Any] = {"max_depth": 200, "rr_depth": 40}
 
 
 def solid(glass, light=GLOWS):
@@ -91,7 +92,7 @@ def make(mi, tmp_path_factory):
     return made
 
 
-def baked(asset, place=PLACE, appearance="geometry"):
+def baked(asset, place=PLACE, appearance: Any = "geometry"):
     return {"lamp": lumitree.shape(asset, place, appearance=appearance)}
 
 
@@ -134,7 +135,7 @@ def test_a_lamp_that_lights_its_box_does_not_light_itself(make, name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["smooth", slow("hollow")])
 def test_paths_from_elsewhere_do_not_find_the_lights_in_the_lamp(make, name):
-    """A floor has that light already: its mean is that of the explicit lamp, within cells."""
+    """A floor has that light already: its mean agrees with the explicit lamp, within cells."""
     lamp, asset = make(LAMPS[name])
     sensor = camera([0.5, 0.35, 1.2], [0.3, 0, 0.6], 25)
     objects = {"sensor": sensor, "floor": floor({"type": "diffuse", "reflectance": 0.9})}

@@ -1,6 +1,7 @@
 """Light for receivers inside a lamp's box: closed forms, and against the explicit lamp."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +25,7 @@ GREY = '<bsdf type="diffuse"><rgb name="reflectance" value="0.5,0.5,0.5"/></bsdf
 RADIANCE = np.array([6.0, 5.0, 3.0])
 GLOWS = f'{BLACK}<emitter type="area"><rgb name="radiance" value="6,5,3"/></emitter>'
 BULB, DISC = 0.2, 0.4
-# What makes the box large: it is empty but for a small light and a plate below it.
+# Two small cubes make the box large; else it has a small light and a plate below it.
 CORNERS = (
     cube("left", 0.03, (-0.97, -0.97, -0.97), BLACK),
     cube("right", 0.03, (0.97, 0.97, 0.97), BLACK),
@@ -38,7 +39,7 @@ def plate(mi, tmp_path_factory):
     return baked(tmp_path_factory.mktemp("plate"), *LAMP, *CORNERS)
 
 
-def placed(mi, asset, place, appearance="geometry", **things):
+def placed(mi, asset, place, appearance: Any = "geometry", **things):
     """A scene with an asset, and with something in its box that is not near the receivers."""
     speck = {"type": "sphere", "radius": 0.01 * np.linalg.norm(place[:3, 0])}
     speck["center"] = (place @ [0.9, -0.9, 0.9, 1])[:3].tolist()
@@ -267,7 +268,7 @@ def test_a_lamp_in_the_box_of_another_throws_its_shadow(mi, plate, tmp_path, sho
 
 @pytest.mark.slow
 def test_glass_about_the_light(mi, tmp_path):
-    """What leaves a bulb of glass lights what is beside it."""
+    """Light that leaves a bulb of glass reaches the objects beside it."""
     bulb = (
         sphere("filament", 0.08, inside=GLOWS),
         sphere("glass", 0.25, inside=GLASS),
@@ -288,7 +289,7 @@ def test_glass_about_the_light(mi, tmp_path):
     distance = np.linalg.norm(points, axis=1)
     plain = np.pi * 0.08**2 / distance**2
     plain[:30] *= 0.355 / distance[:30]
-    # Of the filament's light 8 % are reflected by the glass, most of which leaves it in the end.
+    # The glass reflects 8 % of the filament's light, most of which leaves it in the end.
     for part in (slice(0, 30), slice(30, 60)):
         assert light[part].mean() / plain[part].mean() == pytest.approx(0.97, abs=0.08)
     assert light[60].max() < 0.01 * light[:30].mean()

@@ -87,7 +87,7 @@ def test_a_layer_has_the_light_of_its_lamp_only(room, lamps):
 
 @pytest.mark.slow
 def test_layers_of_geometries(mi, room, tmp_path):
-    """Of a lamp without gain nothing is seen, and of the other its own shapes."""
+    """A lamp without gain shows nothing, and the other one its own shapes."""
     path = str(tmp_path / "geometry.lumitree")
     lumitree.save(with_geometry(small_geometry()), path)
     lamps = [
@@ -333,7 +333,7 @@ def test_mixtures_beyond_single_precision_are_refused(mi, gain):
 
 @pytest.mark.parametrize("pixel_format", ["rgba", "luminance", slow("xyz"), slow("xyza")])
 def test_films_of_other_formats_are_read_as_rgb(room, pixel_format):
-    """Their further channels are those of the layers."""
+    """Their layers and albedo are read, too."""
     expected = render(room, spp=1, layers=True, aov=True)
     film = f'<string name="pixel_format" value="{pixel_format}"/>'
     room.write_text(ROOM.format(film))

@@ -195,7 +195,7 @@ SCATTERING = {
     ],
 )
 def test_media_that_scatter(mi, name, hide):
-    """Means of all channels are those of `volpathmis`, also where emitters are hidden."""
+    """Means of all channels agree with `volpathmis`, also where emitters are hidden."""
     description, options = SCATTERING[name](), {"hide_emitters": hide, "max_depth": 64}
     ours = passes(mi, description, "lumitree_path", 0, 128, **options)
     theirs = passes(mi, description, "volpathmis", 500, 128, **options)

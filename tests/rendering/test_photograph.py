@@ -157,7 +157,7 @@ def test_a_filament_is_clamped_before_pixels_are_averaged():
     bright, clamped = highlights.divide(10.0)
     assert np.array_equal(bright, seen)
     assert clamped[0, :, 0] == pytest.approx(10 * np.array(shares), abs=0.25)
-    # What is not brighter stays.
+    # Pixels that are not brighter stay.
     bright, clamped = highlights.divide(2000.0)
     assert not bright.any()
     assert not clamped.any()

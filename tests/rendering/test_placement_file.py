@@ -155,7 +155,7 @@ def test_a_placed_lamp_has_the_lumens_and_the_colour(mi, asset, size):
     options = {"size": size, "lumens": 800, "temperature": 2700}
     watts, errors = placed_flux(mi, lumitree.Placement(asset, **options))
     lumens = float(luminance(watts))
-    # Of a field, the flux is an estimate too, of about as many rays.
+    # The flux of a field is an estimate too, by about as many rays.
     tolerance = 5 * np.sqrt(2) * float(luminance(errors))
     assert abs(lumens - 800) < tolerance
     assert tolerance < 20

@@ -202,7 +202,7 @@ def test_a_divided_scene_looks_the_same(mi, lamps, hidden):
 
 @pytest.mark.slow
 def test_a_divided_scene_follows_its_shapes(mi, lamps):
-    """A mesh and a sphere are moved: the image is that of a scene that was loaded so."""
+    """A mesh and a sphere are moved: the image equals one of a scene that was loaded so."""
     lamp = {"lamp0": lamps["lamp0"]}
     cube = {"type": "cube", "to_world": mi.ScalarTransform4f().translate([-1, 0, 0]).scale(0.3)}
     scene = room(mi, cube=cube, **lamp)

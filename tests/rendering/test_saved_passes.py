@@ -2,6 +2,7 @@
 
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -55,7 +56,7 @@ def rendered(monkeypatch):
     return note_passes(monkeypatch)
 
 
-def render(samples=SAMPLES, room="room.xml", source="lamp.lumitree", **options):
+def render(samples=SAMPLES, room="room.xml", source: Any = "lamp.lumitree", **options):
     lamp = lumitree.Placement(source, at=(0, 0, 0), size=1.5)
     options = {"work": "work", "layers": True, "progress": None, **options}
     return lumitree.render(room, [lamp], spp=samples, **options)
@@ -136,7 +137,8 @@ def test_time_that_was_spent_counts(rendered):
     interrupted(rendered, 3, **options)
     state = Path("work/passes.npz")
     arrays = dict(np.load(state))
-    np.savez(state, **arrays | {"seconds": np.array(1e5 + 1)})
+    arrays["seconds"] = np.array(1e5 + 1)
+    np.savez(state, **arrays)
     assert render(**options).spp == arrays["samples"]
     assert rendered[0] == []
 
@@ -184,7 +186,7 @@ def test_what_is_no_state_of_this_image_is_not_continued(rendered, kept_work, ch
 
 
 def test_images_of_a_short_time_leave_nothing(rendered, monkeypatch):
-    """Of half a minute otherwise, which a busy machine may take for these."""
+    """The limit is raised from half a minute, which these images may take on a busy machine."""
     monkeypatch.setattr(passes, "_WORTH_SAVING", 1e6)
     monkeypatch.setattr(checkpoint, "_SECONDS", 1e6)
     interrupted(rendered, 4)
@@ -210,7 +212,8 @@ def test_the_command_removes_what_it_kept(rendered, capsys):
 
 
 def test_arrays_and_numpy_numbers_place_lamps():
-    lamp = lumitree.Placement("lamp.lumitree", at=np.zeros(3), size=np.float32(1.5))
+    numbers: dict[str, Any] = {"at": np.zeros(3), "size": np.float32(1.5)}
+    lamp = lumitree.Placement("lamp.lumitree", **numbers)
     first = lumitree.render("room.xml", [lamp], spp=2, work="work", progress=None)
     again = lumitree.render("room.xml", [lamp], spp=2, work="work", progress=None)
     np.testing.assert_array_equal(first.pixels, again.pixels)

@@ -16,7 +16,7 @@ from support.slow import slow
 
 
 def glows(*radiance, flip=False):
-    """What a black shape holds that emits."""
+    """Description of a black surface that emits."""
     r, g, b = radiance
     flipped = '<boolean name="flip_normals" value="true"/>' if flip else ""
     light = f'<emitter type="area"><rgb name="radiance" value="{r},{g},{b}"/></emitter>'
@@ -389,6 +389,7 @@ def test_light_of_glass_comes_from_the_light_field_alone(mi, tmp_path):
     asset = baked(
         tmp_path, bulb, sphere("glass", 0.3, (0, 0.1, 0), GLASS), *CORNERS, paths=1 << 18
     )[1]
+    assert asset.light_field is not None
     assert not asset.light_field.has_straight_light
     found = []
     for shown in (asset, without_emitters(asset)):
@@ -406,10 +407,13 @@ def test_bent_light_is_the_same_beside_straight_light(mi, tmp_path):
     asset = baked(tmp_path, SMALL[0], SMALL[1].replace(BLACK, grey), *CORNERS, paths=1 << 15)[1]
     points = np.array([[0.2, -0.1, 0.2], [0.6, 0.3, 0], [-0.4, 0, 0.5]])
     normals = np.array([[0, -1, 0], [1, -1, 0], [-0.2, -1, 0.2]])
+    assert asset.light_field is not None
     alone = dataclasses.replace(asset, geometry=None, light_field=asset.light_field.bent_light)
     found = []
-    for shown, appearance in ((asset, "geometry"), (alone, "field")):
-        lamp = lumitree.shape(shown, appearance=appearance)
+    for lamp in (
+        lumitree.shape(asset, appearance="geometry"),
+        lumitree.shape(alone, appearance="field"),
+    ):
         scene = mi.load_dict({"type": "scene", "lamp": lamp, "speck": SPECK})
         found.append(received(scene, points, normals, 1 << 15))
     assert found[0] == pytest.approx(found[1], rel=0.03)

@@ -63,12 +63,28 @@ def test_every_side_is_lit(lamp):
 
 
 def test_a_field_is_seen_before_the_backdrop(mi):
-    from lumitree.rendering.studio import asset_photographs
+    from lumitree.rendering.studio import asset_photographs, portrait
 
     field = uniform_asset(50.0, (5, 5, 5), law="exponential")
-    (picture,) = asset_photographs(field, [POSE], 2.0, 16, 4)
+    picture = portrait(field, 16, 4).pixels
     assert (picture[0, 0] == BACKDROP).all()
     # The exposure brings the field's radiance to 0.9 of white, and the lamp is shown brighter.
     assert (picture[8, 8] == 255).all()
     dim = dataclasses.replace(field, light_factors=(0.1, 0.1, 0.1))
     assert (asset_photographs(dim, [POSE], 2.0, 16, 4, 0.1)[0][8, 8] < 255).all()
+
+
+def test_portraits_of_a_lamp_and_its_asset_are_exposed_alike(lamp):
+    from lumitree.rendering.photograph import white_radiance
+    from lumitree.rendering.studio import portrait
+
+    shown = []
+    taken = portrait(lamp, 32, 256, so_far=shown.append)
+    baked = portrait(with_geometry(stored_geometry(lamp), lamp.frame), 32, 256)
+    # The emitter's radiance of 3 becomes 0.9 of white.
+    for each in (taken, baked):
+        assert white_radiance(each.ev) == pytest.approx(3 / 0.9, rel=0.05)
+    assert np.abs(taken.pixels.astype(int) - baked.pixels).mean() < 3
+    assert all(each.ev == taken.ev for each in shown)
+    darker = portrait(lamp, 32, 4, exposure=-1)
+    assert darker.ev == pytest.approx(taken.ev + 1, abs=0.1)

@@ -1,4 +1,4 @@
-"""What the surfaces of a lamp send out, against exact values."""
+"""Radiance that leaves the surfaces of a lamp, against exact values."""
 
 import dataclasses
 
@@ -34,8 +34,8 @@ def test_radiosity_of_a_plate_is_that_of_the_analytic_irradiance(mi):
 
     # Small triangles at the foot of the perpendicular, and at 0.5 beside it.
     small = np.array([[0, -0.5, 0], [0, -0.5, 1e-3], [1e-3, -0.5, 0]], np.float32)
-    beside = small + np.float32([0.5, 0, 0])
-    vertices = np.concatenate([small, beside, small + np.float32([0, 0, 5])])
+    beside = small + np.array([0.5, 0, 0], np.float32)
+    vertices = np.concatenate([small, beside, small + np.array([0, 0, 5], np.float32)])
     faces = np.array([[0, 1, 2], [3, 4, 5]], np.uint32)
     found, variance = vertex_radiance(plate_below_a_sphere((1.0, 2.0, 1.0)), vertices, faces, 4096)
     assert (variance[:6] > 0).all()
@@ -53,8 +53,10 @@ def test_an_emitter_sends_out_its_radiance_at_its_front_alone(mi):
     from lumitree.rendering.asset_images import vertex_radiance
 
     asset = plate_below_a_sphere()
-    asset = dataclasses.replace(asset, geometry=meshed(asset.geometry))
-    sphere = geometry_meshes(asset.geometry, np.eye(4))[0]
+    assert asset.geometry is not None
+    geometry = meshed(asset.geometry)
+    asset = dataclasses.replace(asset, geometry=geometry)
+    sphere = geometry_meshes(geometry, np.eye(4))[0]
     faces, count = sphere["faces"], len(sphere["vertices"])
     used = np.unique(faces)
     both = np.concatenate([sphere["vertices"]] * 2)
@@ -72,5 +74,5 @@ def test_equal_assets_have_equal_radiance(mi):
     triangle = np.array([[0, -0.5, 0], [0, -0.5, 0.1], [0.1, -0.5, 0]], np.float32)
     faces = np.array([[0, 1, 2]], np.uint32)
     runs = [vertex_radiance(plate_below_a_sphere(), triangle, faces, 64)[0] for _ in range(2)]
-    assert np.array_equal(*runs)
+    assert np.array_equal(runs[0], runs[1])
     assert runs[0].min() > 0

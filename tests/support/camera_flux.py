@@ -15,7 +15,7 @@ def flux_by_camera_paths(luminaire, num_paths, *, integrator=None, seed=0):
     lamps of glass, see `trace.spawning`.
 
     Args:
-        num_paths: rounded up to whole batches of 2**20.
+        num_paths: rounded up to whole batches of 2**18.
         integrator: the integrator; by default the one that `path_integrator` makes.
     """
     integrator = integrator or path_integrator(luminaire, PATH_DEPTH)

@@ -17,6 +17,16 @@ from lumitree.errors import LumitreeError, LumitreeWarning
 from support.variant import VARIANT
 
 
+class _Task(Future):
+    """A future that notes whether its result was read."""
+
+    read = False
+
+    def result(self, timeout=None):
+        self.read = True
+        return super().result(timeout)
+
+
 class LastFirst(Executor):
     """Runs tasks in a thread of this process, those that were submitted last first.
 
@@ -33,16 +43,8 @@ class LastFirst(Executor):
         threading.Thread(target=self._work, daemon=True).start()
 
     def submit(self, function, /, *args, **kwargs):
-        future = Future()
+        future = _Task()
         self._held = {each for each in self._held if not each.read}
-        future.read = False
-        result = future.result
-
-        def read(timeout=None):
-            future.read = True
-            return result(timeout)
-
-        future.result = read
         self._held.add(future)
         self.most = max(self.most, len(self._held))
         self._tasks.put((time.monotonic(), id(future), future, function, args, kwargs))
@@ -100,7 +102,7 @@ def pid(value):
 
 
 def heavy_imports():
-    """What this process has imported that takes long."""
+    """Packages imported in this process that take long to import."""
     return sorted({"mitsuba", "drjit", "jax"} & set(sys.modules))
 
 

@@ -1,5 +1,7 @@
 """Rays through fields: known ones with noise to learn from, and some to compare integrals on."""
 
+from typing import Any
+
 import numpy as np
 
 from lumitree.core.device import on_device
@@ -32,10 +34,12 @@ class FieldRays:
         split: half of the light comes as light paths, whose share is 0.
     """
 
+    subject: Any = None
+
     def __init__(self, mi, truth, noise=True, split=False):
         self._mi, self._truth, self._noise, self._split = mi, truth, noise, split
 
-    def draw(self, count, stream, wanted, light_paths_per_ray=0):
+    def draw(self, count, stream, wanted, light_paths_per_ray=0.0):
         import drjit as dr
 
         from lumitree.fit.octree.rays import Rays
@@ -78,8 +82,8 @@ class FieldRays:
 
         origin, direction = random_rays(self._mi, count, stream.seed(0))
         radiance, through, _ = self._truth.integrate(origin, direction)
-        noisy = [self._noisy(radiance, stream.seed(0, part)) for part in (1, 2)]
-        return RayPairs(origin, direction, *noisy, through)
+        first, second = (self._noisy(radiance, stream.seed(0, part)) for part in (1, 2))
+        return RayPairs(origin, direction, first, second, through)
 
     def _noisy(self, radiance, seed):
         if not self._noise:

@@ -75,8 +75,10 @@ def with_inside(seed: int, field: LightField) -> LightField:
     return dataclasses.replace(field, inside=random_inside(seed, field))
 
 
-def assert_equal_fields(first: LightField, second: LightField) -> None:
+def assert_equal_fields(first: LightField | None, second: LightField | None) -> None:
     """Both hold the same numbers, of the same types."""
+    assert first is not None
+    assert second is not None
     for name in ("cells", "lit", "intensity", "bent"):
         one, other = getattr(first, name), getattr(second, name)
         assert one.dtype == other.dtype

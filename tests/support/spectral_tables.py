@@ -1,7 +1,8 @@
-"""What spectral variants make of RGB light: `python spectral_tables.py VARIANT`, as JSON."""
+"""RGB light in a spectral variant: `python spectral_tables.py VARIANT` prints it as JSON."""
 
 import json
 import sys
+from typing import Any
 
 import numpy as np
 
@@ -36,7 +37,9 @@ def facts(variant):
     def colours(spectra):
         return srgb_from_xyz(xyz_of_spectrum(spectra)) / FILM_LUMINANCE
 
-    found = {"basis": [smooth_basis().min(), abs(smooth_basis().sum(axis=1) - 1).max()]}
+    found: dict[str, Any] = {
+        "basis": [smooth_basis().min(), abs(smooth_basis().sum(axis=1) - 1).max()]
+    }
     spectra = {
         "none": None,
         "incandescent": blackbody_spectrum(2700),

@@ -1,4 +1,4 @@
-"""What the page holds of an asset is the asset."""
+"""The page holds all data of an asset."""
 
 import dataclasses
 import json
@@ -87,13 +87,14 @@ def test_page_is_self_contained_and_holds_the_asset():
 @pytest.mark.slow
 def test_an_asset_without_a_field_is_shown_by_its_light():
     """And says so; it has the irradiance, and what is beside the light stays as it is."""
-    asset = light_field_asset(random_light_field(1), LocalFrame((1, 1, 1), np.eye(4)), "lamp")
+    field = random_light_field(1)
+    asset = light_field_asset(field, LocalFrame(np.ones(3), np.eye(4)), "lamp")
     packed = pack_asset(asset)
     assert packed.description["shown"] == "light field"
     assert packed.description["bytes"] == asset.num_bytes
     arrays = unpack_asset(packed)
-    assert len(arrays["density"]) == len(asset.light_field.cells)
-    assert np.array_equal(arrays["cells"].reshape(-1, 3), asset.light_field.cells)
+    assert len(arrays["density"]) == len(field.cells)
+    assert np.array_equal(arrays["cells"].reshape(-1, 3), field.cells)
     geometry = dataclasses.replace(asset, geometry=small_geometry())
     packed = pack_asset(geometry)
     assert packed.description["shown"] == "model"

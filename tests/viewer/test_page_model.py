@@ -1,11 +1,11 @@
-"""What the page has of the geometry of an asset, whose surfaces have no noise."""
+"""Geometry of an asset in the page, which draws its surfaces without noise."""
 
 import dataclasses
 
 import numpy as np
 import pytest
 
-from lumitree.asset.geometry import ARRAYS, AssetGeometry, Medium, UnitShape
+from lumitree.asset.geometry import AssetGeometry, Medium, UnitShape
 from lumitree.asset.materials import (
     Conductor,
     Dielectric,
@@ -31,7 +31,6 @@ pytestmark = pytest.mark.usefixtures("mi")
 
 
 LINEAR = dataclasses.replace(TEXTURE, image=0, raw=True)
-EMPTY = {name: np.zeros((0, width), kind) for name, (kind, width) in ARRAYS.items()}
 
 
 def surface(material, radiance=None, scale=1.0, **media):
@@ -39,7 +38,8 @@ def surface(material, radiance=None, scale=1.0, **media):
 
     shape = UnitShape(type="sphere", to_world=IDENTITY, material=0, radiance=radiance, **media)
     image = np.ones((2, 2, 1), np.float32)
-    geometry = AssetGeometry(**EMPTY, images=(image,), shapes=(shape,), materials=(material,))
+    members = {**NOTHING, "images": (image,)}
+    geometry = AssetGeometry(**members, shapes=(shape,), materials=(material,))
     return page_surface(geometry, shape, scale)
 
 
@@ -66,7 +66,7 @@ def test_rays_are_followed_through_glass_and_from_metals(material, kind):
     assert found.kind.name == kind
     assert len(found.numbers()) == 20
     assert found.has_back == (kind in ("GLASS", "THIN_GLASS"))
-    # What emits ends rays, and so does glass around a medium that scatters.
+    # Emitters end rays, and so does glass around a medium that scatters.
     emitting = surface(material, radiance=(1.0, 2, 3))
     assert (emitting.kind.name, emitting.emits, found.emits) == ("BAKED", True, False)
     opal = Medium((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
@@ -106,7 +106,8 @@ def test_codes_are_those_of_the_triangles():
     from lumitree.exports.surfaces import geometry_meshes, meshed
     from lumitree.viewer.model import page_model
 
-    asset = with_geometry(small_geometry(), LocalFrame(np.ones(3), np.eye(4)))
+    geometry = small_geometry()
+    asset = with_geometry(geometry, LocalFrame(np.ones(3), np.eye(4)))
     model = page_model(asset)
     triangles, surfaces = model.arrays["triangles"], model.arrays["surfaces"]
     rows = np.reshape(model.description["surfaces"], (-1, 20))
@@ -118,7 +119,7 @@ def test_codes_are_those_of_the_triangles():
     area = np.linalg.norm(
         np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
     )
-    meshes = geometry_meshes(meshed(asset.geometry), np.eye(4))
+    meshes = geometry_meshes(meshed(geometry), np.eye(4))
     # Each shape of this geometry has a surface of its own.
     for shape, mesh in enumerate(meshes):
         whole = mesh["vertices"][mesh["faces"]].astype(np.float64)
@@ -160,11 +161,14 @@ def test_a_pattern_is_the_image_relative_to_its_largest_value():
     shape = geometry.shapes[0]
     patterns = Patterns(geometry)
     assert patterns.of(geometry.shapes[1]) is None
-    number, texture = patterns.of(shape)
-    assert (number, texture.image) == (0, 1)
-    assert patterns.of(shape)[0] == 0
-    # What emits by an image has that as its pattern, what emits alike everywhere has none.
-    assert patterns.of(dataclasses.replace(shape, radiance=LINEAR))[0] == 1
+    found = patterns.of(shape)
+    assert found is not None
+    assert (found[0], found[1].image) == (0, 1)
+    assert patterns.of(shape) == found
+    # An emitter with an image has the image as its pattern, a uniform emitter has no pattern.
+    found = patterns.of(dataclasses.replace(shape, radiance=LINEAR))
+    assert found is not None
+    assert found[0] == 1
     assert patterns.of(dataclasses.replace(shape, radiance=(1.0, 1, 1))) is None
     image = geometry.images[1].astype(np.float64)
     shown = Image.open(io.BytesIO(base64.b64decode(patterns.encoded()[0])))
@@ -184,7 +188,7 @@ def test_a_pattern_is_the_image_relative_to_its_largest_value():
         np.testing.assert_allclose(found, np.maximum(expected, 0.02), atol=0.03)
     edge = patterns.values(0, np.array([[1.2, 0.3], [-3, 0.3]]), "clamp")
     np.testing.assert_array_equal(edge, patterns.values(0, np.array([[0.9999, 0.3], [0, 0.3]])))
-    turned = places_on_image([[0, 2, 0, 0.5], [1, 0, 0, 0], *IDENTITY[2:]], places)
+    turned = places_on_image(rows_of([[0, 2, 0, 0.5], [1, 0, 0, 0], *IDENTITY[2:]]), places)
     np.testing.assert_allclose(turned, np.stack([2 * places[:, 1] + 0.5, places[:, 0]], axis=1))
 
 

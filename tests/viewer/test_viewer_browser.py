@@ -8,15 +8,25 @@ import numpy as np
 import pytest
 
 from lumitree.asset.asset import light_field_asset
-from lumitree.asset.geometry import ARRAYS, AssetGeometry
+from lumitree.asset.geometry import AssetGeometry, Medium, UnitShape
 from lumitree.asset.light_field import make_light_field
+from lumitree.asset.materials import (
+    Conductor,
+    Dielectric,
+    Diffuse,
+    RoughConductor,
+    RoughDielectric,
+    Texture,
+    ThinDielectric,
+    TwoSided,
+)
 from lumitree.core.device import on_device
-from lumitree.core.frames import LocalFrame
+from lumitree.core.frames import LocalFrame, rows_of, similarity
 from lumitree.core.octahedral import middle_directions
 from lumitree.viewer.view import make_page
 from support.browser import CHROMIUM, evaluate
 from support.fields import random_asset
-from support.geometry_assets import with_geometry
+from support.geometry_assets import NOTHING, with_geometry
 from support.light_fields import random_light_field
 
 pytestmark = [
@@ -41,34 +51,29 @@ def camera_rays(eye, target, up, fov, width, height):
     return direction / np.linalg.norm(direction, axis=-1, keepdims=True)
 
 
-CHECKED = {
-    "image": 0, "raw": False, "filter_type": "bilinear", "wrap_mode": "repeat",
-    "to_uv": np.diag([3.0, 3, 1, 1]).tolist(),
-}  # fmt: skip
+CHECKED = Texture(image=0, raw=False, to_uv=rows_of(np.diag([3.0, 3, 1, 1])))
+MATERIALS = (
+    Dielectric(int_ior=1.5, ext_ior=1.0),
+    Diffuse(reflectance=0.2),
+    TwoSided(nested=(Conductor(material="Cu"),)),
+    RoughConductor(material="Al", alpha=0.3),
+    ThinDielectric(int_ior=1.5, ext_ior=1.0),
+    Diffuse(reflectance=CHECKED),
+    RoughDielectric(int_ior=1.4, ext_ior=1.0, alpha=0.15),
+    RoughConductor(material="Au", alpha=0.2, distribution="ggx"),
+)
 
 
 def model_shapes():
     """A bulb of absorbing glass, a mirror, a rough and a diffuse ball, and a pane, by materials."""
 
-    def placed(kind, material, scale, at, radiance=None, **media):
-        matrix = np.diag([*np.broadcast_to(scale, 3), 1.0])
-        matrix[:3, 3] = at
-        shape = {"type": kind, "to_world": matrix.tolist(), "material": material}
-        return {**shape, "radiance": radiance, "flipped": False, **media}
+    def placed(kind, material, scale, at, **options):
+        place = rows_of(similarity(np.eye(3), scale, at))
+        return UnitShape(type=kind, to_world=place, material=material, **options)
 
-    materials = (
-        {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0},
-        {"type": "diffuse", "reflectance": 0.2},
-        {"type": "twosided", "nested": [{"type": "conductor", "material": "Cu"}]},
-        {"type": "roughconductor", "material": "Al", "alpha": 0.3},
-        {"type": "thindielectric", "int_ior": 1.5, "ext_ior": 1.0},
-        {"type": "diffuse", "reflectance": CHECKED},
-        {"type": "roughdielectric", "int_ior": 1.4, "ext_ior": 1.0, "alpha": 0.15},
-        {"type": "roughconductor", "material": "Au", "alpha": 0.2, "distribution": "ggx"},
-    )
-    shapes = (
-        placed("sphere", 0, 0.3, (-0.2, 0.2, 0.1), interior=[0.2, 1.0, 2.0]),
-        placed("sphere", 1, 0.12, (-0.2, 0.2, 0.1), [6.0, 5.0, 4.0]),
+    return (
+        placed("sphere", 0, 0.3, (-0.2, 0.2, 0.1), interior=Medium((0.2, 1.0, 2.0))),
+        placed("sphere", 1, 0.12, (-0.2, 0.2, 0.1), radiance=(6.0, 5.0, 4.0)),
         placed("rectangle", 2, 0.6, (0.1, 0, -0.7)),
         placed("sphere", 3, 0.25, (0.4, -0.3, 0.1)),
         placed("rectangle", 4, 0.2, (0.5, 0.4, 0.4)),
@@ -76,19 +81,18 @@ def model_shapes():
         placed("sphere", 6, 0.15, (0.0, -0.4, 0.5)),
         placed("sphere", 7, 0.15, (0.2, 0.6, 0.0)),
     )
-    return shapes, materials
 
 
 def test_image_is_that_of_the_model(mi, tmp_path):
-    """Of all kinds of surfaces, as `lumitree_path` shows it; what is beside it is not hidden."""
+    """All kinds of surfaces look as in `lumitree_path`; the background is not hidden."""
     from lumitree.rendering.register import shape
     from lumitree.rendering.studio import BACKDROP, portrait_half_width, studio_lights
 
-    shapes, materials = model_shapes()
+    shapes = model_shapes()
     checks = np.where((np.indices((64, 64)) // 32).sum(axis=0) % 2, 230, 60).astype(np.uint8)
     checks = (checks[..., None] * [1, 0.6, 0.3]).astype(np.uint8)
-    empty = {name: np.zeros((0, width), kind) for name, (kind, width) in ARRAYS.items()}
-    geometry = AssetGeometry(**empty, images=(checks,), shapes=shapes, materials=materials)
+    members = {**NOTHING, "images": (checks,)}
+    geometry = AssetGeometry(**members, shapes=shapes, materials=MATERIALS)
     asset = with_geometry(geometry, LocalFrame(np.ones(3), np.eye(4)))
     view = {"eye": [0.6, 0.5, 3.4], "target": [0, 0, 0], "up": [0, 1, 0], "fov": 0.6}
     size = {"width": 48, "height": 48}
@@ -119,7 +123,7 @@ def test_image_is_that_of_the_model(mi, tmp_path):
     assert tinted[0] > 1.1 * tinted[1] > 1.1 * tinted[2]
 
     # In the studio, with the lamp switched off. Cameras of the page see no softboxes.
-    off = tuple({**each, "radiance": None} for each in shapes)
+    off = tuple(dataclasses.replace(each, radiance=None) for each in shapes)
     unlit = dataclasses.replace(asset, geometry=dataclasses.replace(geometry, shapes=off))
     lamp = shape(unlit, np.eye(4), appearance="geometry")
     lights = studio_lights(portrait_half_width(asset), 1.0)
@@ -153,10 +157,10 @@ def test_image_is_that_of_the_field(mi, tmp_path, law, l_max):
     assert floats(found["details"]).reshape(80, 120, 4)[..., 2].max() > 3
 
 
-def test_image_of_an_light_field(mi, tmp_path):
+def test_image_of_a_light_field(mi, tmp_path):
     """Without a field the page shows the light itself, and has an exposure for it."""
     light = make_light_field(*_cosine_cells(), 2)
-    asset = light_field_asset(light, LocalFrame((1, 0.5, 0.5), np.eye(4)), "light")
+    asset = light_field_asset(light, LocalFrame(np.array([1, 0.5, 0.5]), np.eye(4)), "light")
     view = {"eye": [0.3, -2.7, 0.5], "target": [0, 0, 0], "up": [1, 0, 0], "fov": 0.6}
     size = {"width": 60, "height": 40}
     page = make_page(asset)

@@ -187,21 +187,21 @@ def print_list(result: dict[str, Any]) -> None:
 def print_preview(result: Any) -> None:
     """Print the figures of a preview, and the shapes of a luminaire."""
     if not hasattr(result, "shapes"):
-        print_result(result, result.sheet)
+        print_result(result, result.image)
         return
     watts = ", ".join(f"{value:.4g}" for value in result.flux.watts)
     errors = ", ".join(f"{value:.2g}" for value in result.flux.watts_error)
+    highest = result.max_radiance
     lines = {
         "luminaire": result.luminaire,
         "triangles": f"{result.triangles:,}",
         "emitters": result.emitters,
-        "L_max": f"{result.max_radiance:.4g} W/(m² sr)",
+        **({} if highest is None else {"L_max": f"{highest:.4g} W/(m² sr)"}),
         "exposure": f"EV {result.ev:.1f}",
         "size": " x ".join(f"{side:.4g}" for side in result.size),
         "media": "yes" if result.has_media else "no",
         "flux": f"{result.flux} (if lengths are in metres)",
         "flux R, G, B": f"{watts} ± {errors} W",
-        "paths per second": f"{result.paths_per_second:,.0f}",
     }
     for item in result.bounces or ():
         name = f"beyond {item.path_depth} bounces"
@@ -211,8 +211,7 @@ def print_preview(result: Any) -> None:
         print_lines({"shape": shape})
     if (more := len(result.shapes) - _MOST_SHAPES) > 0:
         print_lines({"shapes": f"{more:,} more; --json writes all"})
-    print_lines({"sheet": result.sheet})
-    print_open(result.sheet)
+    print_open(result.image)
 
 
 def print_exported(result: Any) -> None:
@@ -250,8 +249,9 @@ def print_photometry(result: Any) -> None:
     rows = figure_rows(result, result.size, result.step, result.rays, result.ugr)
     details = {name.replace("_", " "): text for name, text in result.details.items()}
     print_lines({"luminaire": result.luminaire, **details, **dict(rows)})
-    title = "far field, intensity / distance², within 5 %"
-    _print_table(title, NEAR_FIELD_HEADER, near_field_rows(result.near_field))
+    if result.near_field:
+        title = "far field, intensity / distance², within 5 %"
+        _print_table(title, NEAR_FIELD_HEADER, near_field_rows(result.near_field))
     for path in result.files:
         print(f"written: {shown(path, LONGEST_LINE)}")
     # A report, if there is one.

@@ -241,8 +241,8 @@ def extract(
     run: FilePath,
     output: FilePath | None = None,
     *,
-    tree_depth: int = 8,
-    samples_per_leaf: int = 256,
+    tree_depth: int | None = None,
+    samples_per_leaf: int | None = None,
     luminaire: "LuminaireLike | None" = None,
     irradiance_paths: int | None = None,
     seed: int = 0,
@@ -258,8 +258,8 @@ def extract(
         run: folder of the run, made by `train`.
         output: path of the `.lumitree` file to write. Default: no file is written.
         tree_depth: level of the leaves, 1 to 10. Their side is the longest side of the bounding box
-            divided by 2^tree_depth.
-        samples_per_leaf: positions per leaf, 1 to 1,048,576.
+            divided by 2^tree_depth. Default: 7, or 10 for a run of the quality "paper".
+        samples_per_leaf: positions per leaf, 1 to 1,048,576. Default: 64, or 256 for "paper".
         luminaire: the captured luminaire, in any form that `bake` takes. If it is given, the asset
             gets the light field too, and the irradiance around both is compared.
         irradiance_paths: see `bake`. Default: 2¹⁹.
@@ -278,8 +278,10 @@ def extract(
     """
     if output is not None:
         check_asset_output(output)
-    check_tree_depth(tree_depth)
-    check_count("samples a leaf", samples_per_leaf, 1, MAX_SAMPLES)
+    if tree_depth is not None:
+        check_tree_depth(tree_depth)
+    if samples_per_leaf is not None:
+        check_count("samples a leaf", samples_per_leaf, 1, MAX_SAMPLES)
     config = dataclasses.replace(BakeConfig.of(), seed=seed)
     if irradiance_paths is not None:
         config = dataclasses.replace(config, irradiance_paths=irradiance_paths)
@@ -325,8 +327,8 @@ def _bake_light_field(
 def _extract(
     run: FilePath,
     output: FilePath | None,
-    tree_depth: int,
-    samples_per_leaf: int,
+    tree_depth: int | None,
+    samples_per_leaf: int | None,
     light_field: "LightField | None",
     lamp: "Luminaire | None",
     config: BakeConfig,
@@ -339,17 +341,21 @@ def _extract(
     watch = Stopwatch()
     with watch.stage("extract"):
         field = load_field(run)
-        if field.num_steps < field.planned_steps:
+        paper = field.config == TrainConfig()
+        preset = BakeConfig.of("paper" if paper else "preview", "network").network
+        tree_depth = preset.tree_depth if tree_depth is None else tree_depth
+        samples_per_leaf = samples_per_leaf or preset.samples_per_leaf
+        if field.num_steps < field.config.num_steps:
             warnings.warn(
                 f"the training in {shown(run, 300)} is at step {field.num_steps:,} of "
-                f"{field.planned_steps:,}; `lumitree train --resume` finishes it",
+                f"{field.config.num_steps:,}; `lumitree train --resume` finishes it",
                 LumitreeWarning,
                 stacklevel=3,
             )
-        if field.emission_weights != "decrease":
+        if field.config.emission_weights != "decrease":
             raise LumitreeError(
-                f"{run} was trained with {field.emission_weights} emission weights, which no asset "
-                "has; expected decrease"
+                f"{run} was trained with {field.config.emission_weights} emission weights, which "
+                "no asset has; expected decrease"
             )
         children, density, coefficients = extract_octree(
             field.query, field.frame.half_extents, tree_depth, samples_per_leaf=samples_per_leaf
@@ -359,8 +365,8 @@ def _extract(
             density=density,
             coefficients=coefficients,
             tree_depth=tree_depth,
-            l_max=field.l_max,
-            law=field.law,
+            l_max=field.config.l_max,
+            law=field.config.law,
             max_radiance=field.max_radiance,
             frame=field.frame,
             luminaire=field.luminaire,

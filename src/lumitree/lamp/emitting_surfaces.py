@@ -27,7 +27,6 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter
 
 from lumitree.core.alias_table import alias_row
 from lumitree.core.device import on_device, parameter
@@ -236,6 +235,9 @@ def _largest_around(mean: NDArray[np.float64], side: int) -> NDArray[np.float64]
     """Largest mean of each cell of one shape and of its neighbours; 0 where there are none."""
     if side == 1:
         return np.zeros_like(mean)
+    # Few lamps need it, and it takes as long to import as all else here.
+    from scipy.ndimage import maximum_filter
+
     return maximum_filter(mean.reshape(-1, side, side), (1, 3, 3)).ravel()
 
 

@@ -66,8 +66,8 @@ def write_thumbnail(folder: Path, name: str, asset: Asset) -> None:
     """Render the small image of a lamp for the page of its folder."""
     from lumitree.rendering.studio import portrait
 
-    stream = io.BytesIO()
-    Image.fromarray(portrait(asset, _PIXELS, _SAMPLES)).save(stream, format="JPEG", quality=85)
+    stream, image = io.BytesIO(), portrait(asset, _PIXELS, _SAMPLES)
+    Image.fromarray(image.pixels).save(stream, format="JPEG", quality=85)
     write_bytes(_thumbnail(folder, name), stream.getvalue())
 
 

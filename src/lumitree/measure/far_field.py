@@ -163,7 +163,7 @@ class Measurement:
         watts: [B, 3] radiant flux of R, G and B, W.
         upward: [B] luminous flux above the horizontal, lm.
         emitted: [B, 3] radiant flux of the bare emitters, W; None if it is not known.
-        near_field: inverse-square test of these rays.
+        near_field: inverse-square test of these rays; None without any.
         size: [3] sides of the bounding box, m.
         opening: luminous opening.
         centre: [3] of the opening, from the centre of the bounding box, m.
@@ -178,7 +178,7 @@ class Measurement:
     watts: NDArray[np.float64]
     upward: NDArray[np.float64]
     emitted: NDArray[np.float64] | None
-    near_field: NearFieldTest
+    near_field: NearFieldTest | None
     size: NDArray[np.float64]
     opening: Opening
     centre: NDArray[np.float64]
@@ -193,7 +193,8 @@ def measure(
     """Measure the light that leaves a luminaire.
 
     Args:
-        num_rays: light paths, or rays of an asset; rounded up to a multiple of 16.
+        num_rays: light paths, or rays of an asset; rounded up to a multiple of 16. 0 for exact
+            light: without the inverse-square test, and an opening that is not known is the box.
         step: of the angles, degrees; by default the finest of `STEPS` whose noise, the relative
             root mean square error of the intensity, is at most 2 %, as estimated from one batch;
             for exact light as `exact_grid`.
@@ -211,11 +212,11 @@ def measure(
         seed,
         pieces=max(1, -(-num_rays // (BATCHES * MAX_AT_ONCE))),
     )
-    kept_pieces = min(pieces.count, -(-kept_rays // pieces.size))
+    kept_pieces = min(pieces.count, -(-kept_rays // max(pieces.size, 1)))
     kept: list[Rays] = []
-    tally: _Tally | None = None
+    tally = None if num_rays else _Tally(source, Rays.joined([]), pieces.count, step)
     with progress(f"light of {source.name}", pieces.count) as advance:
-        for batch, drawn in pieces:
+        for batch, drawn in pieces if num_rays else ():
             rays = _in_world(drawn, source.frame)
             if tally is None:
                 tally = _Tally(source, rays, pieces.count, step)
@@ -235,7 +236,7 @@ def measure(
         watts=tally.watts,
         upward=tally.upward,
         emitted=_bare_watts(source, pieces),
-        near_field=tally.near_field,
+        near_field=tally.near_field if num_rays else None,
         size=np.abs(source.frame.rotation) @ source.frame.size,
         opening=tally.opening,
         centre=tally.centre - source.frame.centre,

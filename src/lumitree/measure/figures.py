@@ -371,36 +371,37 @@ def plots_png(data: PhotometricData) -> bytes:
 
 
 def write_pdf(path: str | os.PathLike[str], data: PhotometricData) -> None:
-    """Write the report as a PDF file of two A4 pages: figures, and near field and glare."""
-    title = f"Photometric report: {shown(data.distribution.name)}"
-    tables: list[list[tuple[str, ...]]] = [[NEAR_FIELD_HEADER, *near_field_rows(data.near_field)]]
-    notes, heading = [_FAR_NOTE], "Far field"
-    if data.ugr is not None:
-        tables.append([UGR_HEADER, *ugr_rows(data.ugr)])
-        notes, heading = [_FAR_NOTE, f"{_UGR_TITLE}. {_UGR_NOTE}"], "Far field and glare"
-    page = text_page(title, 0.62, [_figure_rows(data)], _notes(data))
+    """Write the report as a PDF file of A4 pages: figures, and near field and glare if known."""
+    name = shown(data.distribution.name)
+    page = text_page(f"Photometric report: {name}", 0.62, [_figure_rows(data)], _notes(data))
     _polar(page.add_axes((0.05, 0.69, 0.26, 0.2), projection="polar"), data)
     _cone(page.add_axes((0.4, 0.69, 0.18, 0.2)), data.step, data.distribution.intensity)
     _isocandela(page, page.add_axes((0.78, 0.69, 0.18, 0.2)), data)
-    write_bytes(
-        path,
-        pdf_file(
-            [page, text_page(f"{heading}: {shown(data.distribution.name)}", 0.92, tables, notes)]
-        ),
-    )
+    tables: dict[str, tuple[list[tuple[str, ...]], str]] = {}
+    if data.near_field:
+        tables["far field"] = [NEAR_FIELD_HEADER, *near_field_rows(data.near_field)], _FAR_NOTE
+    if data.ugr is not None:
+        tables["glare"] = [UGR_HEADER, *ugr_rows(data.ugr)], f"{_UGR_TITLE}. {_UGR_NOTE}"
+    pages = [page]
+    if tables:
+        heading = f"{' and '.join(tables).capitalize()}: {name}"
+        rows, notes = zip(*tables.values(), strict=True)
+        pages.append(text_page(heading, 0.92, rows, notes))
+    write_bytes(path, pdf_file(pages))
 
 
 def write_html(path: str | os.PathLike[str], data: PhotometricData) -> None:
     """Write the report as an HTML file that loads nothing."""
     name = html.escape(shown(data.distribution.name))
     image = base64.b64encode(plots_png(data)).decode()
-    notes = "\n".join(
-        f'<p class="note">{html.escape(note)}</p>' for note in (*_notes(data), _FAR_NOTE)
-    )
-    ugr = ""
+    notes, far_field, ugr = _notes(data), "", ""
+    if data.near_field:
+        table = _html_table(near_field_rows(data.near_field), NEAR_FIELD_HEADER)
+        far_field, notes = f"<h2>Far field</h2>\n{table}", (*notes, _FAR_NOTE)
     if data.ugr is not None:
         table = _html_table(ugr_rows(data.ugr), UGR_HEADER)
         ugr = f'<h2>{_UGR_TITLE}</h2>\n{table}\n<p class="note">{html.escape(_UGR_NOTE)}</p>'
+    paragraphs = "\n".join(f'<p class="note">{html.escape(note)}</p>' for note in notes)
     text = f"""<!doctype html>
 <html lang="en">
 <meta charset="utf-8">
@@ -411,10 +412,9 @@ def write_html(path: str | os.PathLike[str], data: PhotometricData) -> None:
 <img alt="polar plot, cone diagram and isocandela plot" src="data:image/png;base64,{image}">
 <h2>Figures</h2>
 {_html_table(_figure_rows(data))}
-<h2>Far field</h2>
-{_html_table(near_field_rows(data.near_field), NEAR_FIELD_HEADER)}
+{far_field}
 {ugr}
-{notes}
+{paragraphs}
 </html>
 """
     write_bytes(path, text.encode())

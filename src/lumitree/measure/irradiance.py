@@ -55,7 +55,7 @@ _LARGEST_RMS = 0.1
 _FEW_CELLS, _FAR = 20, 0.5
 # Camera paths of the comparison of flux. Before it warns, both fluxes are estimated again by other
 # and more paths: one lamp in some hundreds differs randomly.
-_CAMERA_PATHS, _PATHS_AGAIN = 1 << 20, 1 << 22
+_CAMERA_PATHS, _PATHS_AGAIN = 1 << 18, 1 << 22
 # The fluxes differ if they do so by more standard errors than this, and by more than this part.
 _ERRORS, _PART = 3, 0.02
 # Hits of an emitter from which on the standard error of camera paths is known.

@@ -199,10 +199,10 @@ class PhotometricData:
         figures: the figures.
         distribution: the intensities.
         intensity_error: [C, G] standard errors of the intensities, cd.
-        near_field: result of the inverse-square test, by direction.
+        near_field: result of the inverse-square test, by direction; empty without rays.
         step: of the angles, degrees.
         size: [3] sides of the bounding box, m.
-        num_rays: light paths, or rays of an asset.
+        num_rays: light paths, or rays of an asset; 0 for a photometric file.
         ugr: table of glare ratings, see `ugr_table`; None without the package for it.
     """
 
@@ -320,7 +320,7 @@ def evaluated(
         figures=figures,
         distribution=distribution,
         intensity_error=error,
-        near_field=measurement.near_field.limits(),
+        near_field=[] if measurement.near_field is None else measurement.near_field.limits(),
         step=grid.step,
         size=measurement.size,
         num_rays=measurement.num_rays,
@@ -491,7 +491,7 @@ def figure_rows(
         ("centre of the opening", f"{centre} m from the centre of the bounding box"),
         ("size of the bounding box", " x ".join(f"{side:.4g}" for side in size) + " m"),
         ("angular step", f"{step:g}°"),
-        ("rays", f"{rays:,}"),
+        *([("rays", f"{rays:,}")] if rays else []),
     ]
     return rows
 

@@ -29,8 +29,9 @@ if TYPE_CHECKING:
     from lumitree.lamp.luminaire import LuminaireLike
     from lumitree.measure.far_field import Source
 
-# Light paths of a measurement: 15 to 30 s on 2 CPU cores.
-PATHS = 1 << 22
+# Light paths of a measurement: 15 to 30 s on 2 CPU cores. And rays of an asset whose intensities
+# need none, for its far field and its opening.
+PATHS, EXACT_PATHS = 1 << 22, 1 << 20
 # With fewer the standard errors are not reliable.
 MIN_PATHS = 1 << 14
 # More would take days. A ray file has 36 bytes a ray.
@@ -50,10 +51,11 @@ class PhotometryResult(ImageResult, PhotometricFigures):
         luminaire: name of the luminaire.
         details: what a photometric file states of how it was made, such as its file generation
             type; empty for other sources.
-        near_field: for some directions, the distance from which the far field is within 5 %.
+        near_field: for some directions, the distance from which the far field is within 5 %; empty
+            without rays.
         step: of the angles, degrees.
         size: [3] sides of the bounding box, m.
-        rays: number of light paths, or of rays of an asset.
+        rays: number of light paths, or of rays of an asset; 0 for a photometric file.
         c_angles, gamma_angles: [C] and [G] angles of the intensities, degrees.
         intensity, intensity_error: [C, G] luminous intensities and standard errors, cd.
         files: files that were written.
@@ -83,7 +85,7 @@ def photometry(
     step: float | None = None,
     unit: float | str = "m",
     up: Literal["y", "z"] = "y",
-    paths: int = PATHS,
+    paths: int | None = None,
     file_rays: int = FILE_RAYS,
     seed: int = 0,
     variant: str | None = None,
@@ -113,7 +115,9 @@ def photometry(
         up: upward axis of the source, "y" or "z". Models and photometric files have y up once they
             are loaded.
         paths: number of light paths, or of rays of an asset, 16,384 to 2³²; rounded up to a
-            multiple of 16.
+            multiple of 16. Default: 4,194,304; 1,048,576 for an asset with a light field, whose
+            far field and opening alone need rays; none for a photometric file, which gets a far
+            field only if `paths` are given.
         file_rays: number of light paths whose rays a ray file gets, up to 16,777,216. Paths that
             end inside the luminaire are not in the file.
         seed: root seed of all random numbers, 0 to 2³¹ - 1.
@@ -133,7 +137,8 @@ def photometry(
     """
     outputs = [output] if isinstance(output, str | os.PathLike) else list(output)
     _check_outputs(outputs)
-    check_count("light paths", paths, MIN_PATHS, MAX_PATHS)
+    if paths is not None:
+        check_count("light paths", paths, MIN_PATHS, MAX_PATHS)
     check_count("rays of a ray file", file_rays, 1, MAX_FILE_RAYS)
     check_seed(seed)
     check_choice("up", up, ("y", "z"))
@@ -160,6 +165,9 @@ def photometry(
         if wanted:
             _warn_far(measured)
         measured = oriented(measured, metres, up)
+        if paths is None and measured.exact is not None:
+            paths = EXACT_PATHS if file is None or wanted else 0
+        paths = PATHS if paths is None else paths
         measurement = measure(measured, paths, step=step, kept_rays=wanted, seed=seed)
         # A converted file is no simulation, and no measurement either.
         generation = UNDEFINED if is_file else SIMULATED

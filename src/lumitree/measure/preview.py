@@ -1,9 +1,8 @@
-"""Preview of a luminaire or of an asset: figures, and six views on a contact sheet."""
+"""Preview of a luminaire or of an asset: figures, and a photograph, or six views on a sheet."""
 
 import dataclasses
 import math
-import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -18,7 +17,7 @@ from lumitree.core.arguments import (
 from lumitree.core.backend import in_turn, load_rgb
 from lumitree.core.files import FilePath, write_bytes
 from lumitree.core.frames import pose_towards
-from lumitree.core.images import auto_exposure, image_settings, max_radiance, tonemap
+from lumitree.core.images import encode_png, image_settings, max_radiance, tonemap
 from lumitree.core.photometry import Flux, MissedFlux, luminance
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.progress import progress as progress_bar
@@ -28,20 +27,19 @@ from lumitree.errors import LumitreeError
 from lumitree.lamp.diagnosis import warn_of_faults
 from lumitree.lamp.scene_shapes import SceneShape
 from lumitree.rendering.asset_cache import asset_of
-from lumitree.rendering.photograph import (
-    check_exposure,
-    ev_of_white,
-    exposure_value,
-    white_radiance,
-)
+from lumitree.rendering.photograph import check_exposure, white_radiance
 
 if TYPE_CHECKING:
     from lumitree.lamp.luminaire import Luminaire, LuminaireLike
     from lumitree.rendering.drawing import Sheet
+    from lumitree.rendering.photograph import Photograph
     from lumitree.trace.cameras import ViewImages
 
 # Numbers of light paths of a preview, for the flux and for the flux by number of bounces.
-FLUX_PATHS, BOUNCE_PATHS = 1 << 22, 1 << 20
+FLUX_PATHS = BOUNCE_PATHS = 1 << 20
+# Pixels per side and paths per pixel of the photograph, and of each view of a contact sheet: equal
+# numbers of paths.
+_PHOTOGRAPH, _VIEW = (512, 16), (256, 64)
 # Direction from the luminaire to the camera, and the direction that is upwards in the image, in the
 # frame of the luminaire's file, where y is up.
 VIEWS = {
@@ -59,22 +57,22 @@ _MIN_SIDE, _MAX_SIDE = 192, 640
 
 @dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
 class PreviewResult(ImageResult):
-    """Figures of a luminaire, and its views from six sides.
+    """Figures of a luminaire, and its photograph or a contact sheet of six views.
 
     Attributes:
         luminaire: name of the luminaire.
         triangles: number of triangles of its meshes.
         emitters: number of shapes that emit.
-        max_radiance: L_max, the 99.99th percentile over the pixels of the views, W/(m² sr).
+        max_radiance: L_max, the 99.99th percentile over the pixels of the views, W/(m² sr); None
+            without a contact sheet.
         size: [3] sides of the bounding box, in the unit of the luminaire's file.
         has_media: whether there are participating media.
         flux: flux that leaves the luminaire.
-        paths_per_second: speed of path tracing.
-        ev: exposure value of the contact sheet, EV100: 1.2 x 2^ev cd/m² is white.
+        ev: exposure value of the image, EV100: 1.2 x 2^ev cd/m² is white.
         faults: one line for each fault that cannot be rendered correctly, such as a dielectric that
             is not closed.
         bounces: share of the flux that short paths miss; None if it was not measured.
-        sheet: file of the contact sheet; None if none was written.
+        image: file that was written; None if none was.
         shapes: its shapes, with `number`, `name` (id), and `materials` (ids of BSDFs, names of
             materials), by which `keep` and `drop` find them; and with their plugins, `kind`, `bsdf`
             and `emitter`.
@@ -83,21 +81,20 @@ class PreviewResult(ImageResult):
     luminaire: str
     triangles: int
     emitters: int
-    max_radiance: float
+    max_radiance: float | None
     size: tuple[float, ...]
     has_media: bool
     flux: Flux
-    paths_per_second: float
     ev: float
     faults: list[str]
-    sheet: Path | None
+    image: Path | None
     bounces: list[MissedFlux] | None = None
     shapes: tuple[SceneShape, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
 class AssetPreviewResult(ImageResult):
-    """Figures of an asset, and its views from six sides.
+    """Figures of an asset, and its photograph or a contact sheet of six views.
 
     Attributes:
         luminaire: name of the luminaire.
@@ -107,8 +104,8 @@ class AssetPreviewResult(ImageResult):
         watts: [3] flux that it emits, R, G and B, W, if lengths are in metres: exact with a
             light field, else estimated from 2²⁰ rays.
         lumens: the same as luminous flux, lm.
-        ev: exposure value of the contact sheet, EV100: 1.2 x 2^ev cd/m² is white.
-        sheet: file of the contact sheet; None if none was written.
+        ev: exposure value of the image, EV100: 1.2 x 2^ev cd/m² is white.
+        image: file that was written; None if none was.
     """
 
     luminaire: str
@@ -118,7 +115,7 @@ class AssetPreviewResult(ImageResult):
     watts: tuple[float, ...]
     lumens: float
     ev: float
-    sheet: Path | None
+    image: Path | None
 
 
 @in_turn
@@ -126,28 +123,34 @@ def preview(
     luminaire: "Asset | LuminaireLike",
     output: FilePath | None = None,
     *,
-    resolution: int = 256,
-    spp: int = 64,
+    sheet: bool = False,
+    resolution: int | None = None,
+    spp: int | None = None,
     bounces: bool = False,
     exposure: float | str = 0.0,
     variant: str | None = None,
     progress: ProgressCallback | None = show_progress,
 ) -> PreviewResult | AssetPreviewResult:
-    """Render six views of a luminaire or of an asset, and measure its flux and size.
+    """Photograph a luminaire or an asset, and measure its flux and size.
 
-    The contact sheet shows the lamp in soft light, its own radiance at two exposures, and both
-    opacities, from six sides. Warns of glass that Mitsuba cannot render correctly. For an asset the
-    sheet shows what images show of it, its geometry, its field or else its light field, and one
-    opacity.
+    The photograph shows the lamp in soft light, from obliquely in front. Warns of glass that
+    Mitsuba cannot render correctly.
+
+    The contact sheet shows six sides: the lamp in soft light, its own radiance at two exposures,
+    and both opacities. For an asset it shows what images show of it, its geometry, its field or
+    else its light field, and one opacity.
 
     Args:
         luminaire: what to render: an asset, the path of a `.lumitree` file, of a photometric file
             or of a ray file; or a luminaire in any form that `bake` takes except the folder of a
             dataset.
-        output: path of the PNG file to write. Default: no file is written.
-        resolution: pixels per side of each view, 1 to 16,384.
+        output: path of the PNG file to write; a photograph is first written while it is noisy.
+            Default: no file is written.
+        sheet: whether to make the contact sheet in place of the photograph.
+        resolution: pixels per side of the photograph or of each view, 1 to 16,384. Default: 512, or
+            256 of a view.
         spp: paths per pixel, 1 to 1,048,576. It does not apply to an asset without
-            geometry, whose pixels have 16 rays.
+            geometry, whose pixels have 16 rays. Default: 16, or 64 of a view.
         bounces: whether to measure the share of the flux that paths of at most 32, 64 and 128
             bounces miss. Not for an asset.
         exposure: stops more than automatic, or "ev=9.5", as for `render`. Automatic shows the
@@ -156,8 +159,8 @@ def preview(
         progress: function that is called with a `Progress` after each step; see `bake`.
 
     Returns:
-        The figures of the luminaire or the asset (`AssetPreviewResult`), and the contact sheet as
-        `png`. Figures of a luminaire list its `shapes`, for `keep` and `drop` of `load_luminaire`.
+        The figures of the luminaire or the asset (`AssetPreviewResult`), and the image as `png`.
+        Figures of a luminaire list its `shapes`, for `keep` and `drop` of `load_luminaire`.
 
     Raises:
         LumitreeError: an argument is out of range; the luminaire cannot be read; or the file cannot
@@ -165,70 +168,70 @@ def preview(
     """
     if output is not None:
         check_sheet_output(output)
+    pixels, samples = _VIEW if sheet else _PHOTOGRAPH
+    resolution, spp = pixels if resolution is None else resolution, samples if spp is None else spp
     check_image_settings(resolution=resolution, spp=spp)
     check_exposure(exposure)
-    mi = load_rgb(variant)
+    load_rgb(variant)
+
+    def image(lamp: "Asset | Luminaire", facts: list[str]) -> _Image:
+        return _taken(lamp, facts, output, sheet, (resolution, spp), exposure)
+
+    path, watch = None if output is None else Path(output), Stopwatch()
     if (asset := asset_of(luminaire)) is not None:
         if bounces:
             raise LumitreeError("an asset has no paths to count the bounces of; leave bounces out")
         with reporting(progress):
-            return _preview_asset(asset, output, resolution, spp, exposure)
+            return _preview_asset(asset, image, path, watch)
     from lumitree.lamp.luminaire import load_luminaire
     from lumitree.trace.flux import estimate_flux, missed_by_depth
 
-    watch = Stopwatch()
     with reporting(progress):
         with watch.stage("load"):
             lamp = load_luminaire(cast(Any, luminaire))
         with watch.stage("diagnose"):
             faults = warn_of_faults(lamp)
-        with watch.stage("views"):
-            views = take_preview(lamp, resolution, spp, exposure)
         with watch.stage("flux"):
             flux = estimate_flux(lamp, FLUX_PATHS)
         missed = None
         if bounces:
             with watch.stage("bounces"):
                 missed = missed_by_depth(lamp, BOUNCE_PATHS)
-    result = PreviewResult(
+        facts = [
+            f"{lamp.num_triangles:,} triangles",
+            f"{lamp.num_emitters} emitter" + ("" if lamp.num_emitters == 1 else "s"),
+            f"flux {flux}",
+            "size " + " x ".join(f"{side:.4g}" for side in lamp.size),
+            *(["media"] if lamp.has_media else []),
+        ]
+        with watch.stage("image"):
+            taken = image(lamp, facts)
+    return PreviewResult(
         luminaire=lamp.name,
         triangles=lamp.num_triangles,
         emitters=lamp.num_emitters,
-        max_radiance=max_radiance([views.radiance]),
+        max_radiance=taken.max_radiance,
         size=tuple(lamp.size.tolist()),
         has_media=lamp.has_media,
         flux=flux,
-        paths_per_second=views.paths_per_second,
-        ev=views.ev,
+        ev=taken.ev,
         faults=faults,
         bounces=missed,
         shapes=lamp.shapes,
-        sheet=None if output is None else Path(output),
-        png=b"",
+        image=path,
+        png=taken.png,
         **watch.costs(),
     )
-    settings = image_settings(
-        "preview",
-        luminaire=lamp.name,
-        resolution=resolution,
-        spp=spp,
-        ev=views.ev,
-        variant=mi.variant(),
-    )
-    png = draw_preview(views, lamp.name, _facts(result)).png(settings)
-    if output is not None:
-        write_bytes(output, png)
-    return dataclasses.replace(result, png=png)
 
 
 def _preview_asset(
-    asset: Asset, sheet: FilePath | None, resolution: int, spp: int, exposure: float | str
+    asset: Asset,
+    image: "Callable[[Asset, list[str]], _Image]",
+    path: Path | None,
+    watch: Stopwatch,
 ) -> AssetPreviewResult:
     from lumitree.rendering.asset_flux import asset_watts
 
-    watch = Stopwatch()
-    with watch.stage("views"):
-        views = take_asset_preview(asset, resolution, spp, exposure)
     with watch.stage("flux"):
         watts = asset_watts(asset)
     lumens, size = float(luminance(watts)), asset.frame.size
@@ -238,16 +241,8 @@ def _preview_asset(
         f"flux {lumens:,.4g} lm",
         "size " + " x ".join(f"{side:.4g}" for side in size),
     ]
-    settings = image_settings(
-        "preview",
-        asset=asset.luminaire,
-        resolution=resolution,
-        spp=None if asset.geometry is None else spp,
-        ev=views.ev,
-    )
-    png = draw_preview(views, asset.luminaire, facts, baked=True).png(settings)
-    if sheet is not None:
-        write_bytes(sheet, png)
+    with watch.stage("image"):
+        taken = image(asset, facts)
     return AssetPreviewResult(
         luminaire=asset.luminaire,
         parts=asset.info.parts,
@@ -255,22 +250,56 @@ def _preview_asset(
         size=tuple(size.tolist()),
         watts=tuple(watts.tolist()),
         lumens=lumens,
-        ev=views.ev,
-        sheet=None if sheet is None else Path(sheet),
-        png=png,
+        ev=taken.ev,
+        image=path,
+        png=taken.png,
         **watch.costs(),
     )
 
 
-def _facts(result: PreviewResult) -> list[str]:
-    return [
-        f"{result.triangles:,} triangles",
-        f"{result.emitters} emitter" + ("" if result.emitters == 1 else "s"),
-        f"L_max {result.max_radiance:.4g}",
-        f"flux {result.flux}",
-        "size " + " x ".join(f"{side:.4g}" for side in result.size),
-        *(["media"] if result.has_media else []),
-    ]
+@dataclasses.dataclass(frozen=True)
+class _Image:
+    """PNG file of a photograph or a contact sheet, its EV100, and L_max of the views of a sheet."""
+
+    png: bytes
+    ev: float
+    max_radiance: float | None = None
+
+
+def _taken(
+    lamp: "Asset | Luminaire",
+    facts: list[str],
+    output: FilePath | None,
+    sheet: bool,
+    size: tuple[int, int],
+    exposure: float | str,
+) -> _Image:
+    """The image of a lamp, which is written; `size`: pixels per side and samples per pixel."""
+    from lumitree.rendering.studio import portrait
+
+    baked = isinstance(lamp, Asset)
+    name = lamp.luminaire if baked else lamp.name
+    spp = None if baked and lamp.geometry is None else size[1]
+
+    def settings(ev: float) -> str:
+        described = {"lamp": name, "resolution": size[0], "spp": spp, "ev": ev}
+        return image_settings("preview", **described, variant=load_rgb().variant())
+
+    def made(photograph: "Photograph") -> _Image:
+        image = _Image(encode_png(photograph.pixels, settings(photograph.ev)), photograph.ev)
+        if output is not None:
+            write_bytes(output, image.png)
+        return image
+
+    if not sheet:
+        return made(portrait(lamp, *size, exposure, None if output is None else made))
+    views = (take_asset_preview if baked else take_preview)(cast(Any, lamp), *size, exposure)
+    highest = max_radiance([views.radiance])
+    facts = [*facts, f"L_max {highest:.4g}"]
+    png = draw_preview(views, name, facts, baked=baked).png(settings(views.ev))
+    if output is not None:
+        write_bytes(output, png)
+    return _Image(png, views.ev, highest)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -280,13 +309,11 @@ class Preview:
     Attributes:
         images: by the names of `VIEWS`.
         photographs: of each view, sRGB bytes [H, W, 3], as `rendering.studio` makes them.
-        paths_per_second: paths traced per second, without the time of compilation.
         exposed: exposure, as for `preview`.
     """
 
     images: "dict[str, ViewImages]"
     photographs: Sequence[NDArray[np.uint8]]
-    paths_per_second: float
     exposed: float | str = 0.0
 
     @property
@@ -297,7 +324,9 @@ class Preview:
     @property
     def ev(self) -> float:
         """Exposure value of all images; the automatic one shows the emitters."""
-        return exposure_value(self.exposed, ev_of_white(1 / auto_exposure(self.radiance)))
+        from lumitree.rendering.studio import lamp_ev
+
+        return lamp_ev(self.exposed, self.radiance)
 
     @property
     def exposure(self) -> float:
@@ -327,17 +356,12 @@ def take_preview(
 
     camera = Camera(luminaire, resolution, spp)
     images: dict[str, ViewImages] = {}
-    seconds = []
     poses = _poses(luminaire.bounding_radius)
     with progress_bar(f"preview {luminaire.name}", len(VIEWS)) as advance:
         for number, (name, pose) in enumerate(zip(VIEWS, poses, strict=True)):
-            start = time.perf_counter()
             images[name] = camera.take(pose, SeedStream(Purpose.PREVIEW, number))
-            seconds.append(time.perf_counter() - start)
             advance(1)
-    # The first view is not counted, because its time includes compilation.
-    paths = resolution**2 * spp * (len(VIEWS) - 1)
-    preview = Preview(images, [], paths / sum(seconds[1:]), exposure)
+    preview = Preview(images, [], exposure)
     photographs = luminaire_photographs(luminaire, poses, resolution, spp, preview.exposure)
     return dataclasses.replace(preview, photographs=photographs)
 
@@ -360,7 +384,7 @@ def take_asset_preview(
         name: ViewImages(radiance, opacity, opacity)
         for name, (radiance, opacity) in zip(VIEWS, shown, strict=True)
     }
-    preview = Preview(images, [], 0.0, exposure)
+    preview = Preview(images, [], exposure)
     photographs = asset_photographs(asset, poses, radius, resolution, spp, preview.exposure)
     return dataclasses.replace(preview, photographs=photographs)
 

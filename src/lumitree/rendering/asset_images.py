@@ -22,7 +22,7 @@ from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.lamp.dataset import Frame, Manifest
 from lumitree.rendering.device import DeviceAsset
-from lumitree.rendering.passes import Budget, render_passes
+from lumitree.rendering.passes import Budget, Rendering, render_passes
 from lumitree.rendering.register import shape
 from lumitree.trace.cameras import PATH_DEPTH
 from lumitree.trace.light_paths import seeded_sampler
@@ -120,8 +120,18 @@ class LampCamera:
         transforms_as_parameters(self.scene.shapes())
         self._integrator = integrator
 
-    def take(self, pose: NDArray[np.float64], spp: int, index: int, name: str) -> Images:
-        """Radiance and opacity of a view, as `shown_images`; `index` makes its random numbers."""
+    def take(
+        self,
+        pose: NDArray[np.float64],
+        spp: int,
+        index: int,
+        name: str,
+        so_far: Callable[[Rendering], None] | None = None,
+    ) -> Images:
+        """Radiance and opacity of a view, as `shown_images`; `index` makes its random numbers.
+
+        `so_far` is as for `render_passes`.
+        """
         # Mitsuba's cameras look along +z, with x to the left.
         axes = np.diag([-self._half_width, self._half_width, -1, 1])
         parameters = mi.traverse(self.scene.sensors()[0])
@@ -131,7 +141,7 @@ class LampCamera:
         seed = SeedStream(Purpose.PREVIEW, index).seed(_ROOT_SEED) >> 1
         budget = Budget(spp)
         channels = render_passes(
-            self.scene, self._integrator, budget, seed=seed, name=name
+            self.scene, self._integrator, budget, seed=seed, name=name, so_far=so_far
         ).channels
         return channels[..., :3], channels[..., 3]
 

@@ -262,6 +262,17 @@ def _filter(radiance: NDArray[np.float32], recorded: Recorded) -> NDArray[np.flo
     return np.maximum(np.array(filtered, np.float32), 0)
 
 
+def denoised_pixels(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """sRGB bytes [H, W, 3] with less noise; unchanged if the package is not installed."""
+    try:
+        filter_with = _open_image_denoise().denoise
+    except LumitreeError:
+        return pixels
+    encoded = np.ascontiguousarray(pixels / 255, np.float32)
+    filtered = np.array(filter_with(encoded, srgb=True), np.float32)
+    return np.round(255 * np.clip(filtered, 0, 1)).astype(np.uint8)
+
+
 def _with_means(filtered: NDArray[np.float32], noisy: NDArray[np.float32]) -> NDArray[np.float32]:
     """A filtered image [H, W, 3], scaled to the local means of the noisy one."""
     from scipy.ndimage import gaussian_filter

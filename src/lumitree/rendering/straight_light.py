@@ -25,7 +25,6 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from lumitree.asset.geometry import MeshArrays, Shape, UnitShape
 from lumitree.asset.light_field import LightField, unpack
@@ -231,7 +230,7 @@ def _straight(
     straight = field.scale * (unpack(field.intensity) - unpack(field.bent)) @ np.array(factors)
     by_cell = field.dense(straight)
     centres = (field.cells + 0.5) * (2 / (1 << field.depth)) - 1
-    nearest = KDTree(middles).query(centres)[1]
+    nearest = np.stack([((centres - each) ** 2).sum(axis=1) for each in middles]).argmin(axis=0)
     return np.stack([by_cell[nearest == i].sum(axis=0) for i in range(len(middles))])
 
 

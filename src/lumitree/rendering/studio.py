@@ -5,7 +5,7 @@ By its own light alone most of a lamp is black: its metal and glass have nothing
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import mitsuba as mi
@@ -23,6 +23,13 @@ from lumitree.rendering.asset_images import (
     geometry_integrator,
     shown_images,
 )
+from lumitree.rendering.layers import denoised_pixels
+from lumitree.rendering.photograph import (
+    Photograph,
+    ev_of_white,
+    exposure_value,
+    white_radiance,
+)
 from lumitree.trace.cameras import PATH_DEPTH, path_integrator
 
 # Radiance of the backdrop and of the softboxes, relative to white; and how much brighter the lamp's
@@ -37,6 +44,8 @@ _DIRECTIONS = tuple(
 _DISTANCE, _HALF_WIDTH, _HALF_HEIGHT = 5.05, 1.0, 1.58
 # Direction from the lamp to the camera of a portrait, and width of the image over the lamp's.
 _PORTRAIT, _MARGIN = (0.4, 0.25, 0.882), 1.06
+# Samples of a portrait over the samples of the image of its own light, by which it is exposed.
+_METERING = 4
 _SAME = np.eye(4)
 
 
@@ -46,7 +55,7 @@ def asset_photographs(
     half_width: float,
     resolution: int,
     spp: int,
-    exposure: float | None = None,
+    exposure: float,
 ) -> list[NDArray[np.uint8]]:
     """sRGB images [H, W, 3] of an asset, before a grey backdrop.
 
@@ -54,17 +63,23 @@ def asset_photographs(
 
     Args:
         poses, half_width, resolution, spp: as for `shown_images`.
-        exposure: factor on the radiance. Default: `auto_exposure` of the first image.
+        exposure: factor on the radiance.
     """
     if asset.geometry is None:
         shown = shown_images(asset, poses, half_width, resolution, spp)
-        factor = OWN * (auto_exposure(shown[0][0]) if exposure is None else exposure)
-        return [
-            tonemap(radiance * factor + BACKDROP * (1 - opacity[..., None]))
-            for radiance, opacity in shown
-        ]
-    studio = _Studio(asset_scene(asset), geometry_integrator(), half_width, resolution)
+        return [_before_backdrop(*each, exposure) for each in shown]
+    studio = _asset_studio(asset, half_width, resolution)
     return studio.photographs(poses, spp, exposure, asset.luminaire)
+
+
+def _before_backdrop(
+    radiance: NDArray[np.float32], opacity: NDArray[np.float32], exposure: float
+) -> NDArray[np.uint8]:
+    return tonemap(radiance * OWN * exposure + BACKDROP * (1 - opacity[..., None]))
+
+
+def _asset_studio(asset: Asset, half_width: float, resolution: int) -> _Studio:
+    return _Studio(asset_scene(asset), geometry_integrator(), half_width, resolution)
 
 
 def luminaire_photographs(
@@ -75,28 +90,69 @@ def luminaire_photographs(
     exposure: float,
 ) -> list[NDArray[np.uint8]]:
     """As `asset_photographs`, of a luminaire in its bounding sphere."""
-    shapes = {f"shape{i}": each for i, each in enumerate(reusable_shapes(luminaire.scene))}
-    studio = _Studio(
-        {"type": "scene", **shapes},
-        path_integrator(luminaire, PATH_DEPTH),
-        luminaire.bounding_radius,
-        resolution,
-        luminaire.scene_frame.world_from_local,
-    )
+    studio = _luminaire_studio(luminaire, luminaire.bounding_radius, resolution)
     return studio.photographs(poses, spp, exposure, luminaire.name)
 
 
-def portrait(asset: Asset, resolution: int, spp: int) -> NDArray[np.uint8]:
-    """sRGB image [H, W, 3] of an asset from obliquely in front, which its box fills."""
-    pose = pose_towards(_PORTRAIT, (0, 1, 0), 4.0)
-    half_width = portrait_half_width(asset)
-    return asset_photographs(asset, [pose], half_width, resolution, spp)[0]
+def _luminaire_studio(luminaire: Luminaire, half_width: float, resolution: int) -> _Studio:
+    shapes = {f"shape{i}": each for i, each in enumerate(reusable_shapes(luminaire.scene))}
+    return _Studio(
+        {"type": "scene", **shapes},
+        path_integrator(luminaire, PATH_DEPTH),
+        half_width,
+        resolution,
+        luminaire.scene_frame.world_from_local,
+    )
 
 
-def portrait_half_width(asset: Asset) -> float:
+def portrait(
+    lamp: Asset | Luminaire,
+    resolution: int,
+    spp: int,
+    exposure: float | str = 0.0,
+    so_far: Callable[[Photograph], object] | None = None,
+) -> Photograph:
+    """Photograph of a lamp from obliquely in front, which its box fills.
+
+    It is denoised if the optional dependency `denoise` is installed.
+
+    Args:
+        resolution, spp: as for `shown_images`.
+        exposure: as for `lumitree.preview`.
+        so_far: called with the photograph so far, as of `render_passes`.
+    """
+    pose, half_width = pose_towards(_PORTRAIT, (0, 1, 0), 4.0), portrait_half_width(lamp)
+    if isinstance(lamp, Luminaire):
+        name, studio = lamp.name, _luminaire_studio(lamp, half_width, resolution)
+    elif lamp.geometry is None:
+        ((radiance, opacity),) = shown_images(lamp, [pose], half_width, resolution, spp)
+        ev = lamp_ev(exposure, radiance)
+        return Photograph(_before_backdrop(radiance, opacity, 1 / white_radiance(ev)), ev, None)
+    else:
+        name, studio = lamp.luminaire, _asset_studio(lamp, half_width, resolution)
+    ev = lamp_ev(exposure, studio.own(pose, max(1, spp // _METERING), name))
+
+    def seen(pixels: NDArray[np.uint8]) -> None:
+        if so_far is not None:
+            so_far(Photograph(pixels, ev, None))
+
+    (pixels,) = studio.photographs([pose], spp, 1 / white_radiance(ev), name, seen)
+    return Photograph(denoised_pixels(pixels), ev, None)
+
+
+def lamp_ev(exposure: float | str, radiance: NDArray[np.floating]) -> float:
+    """EV100 of an exposure, as for `lumitree.preview`; the automatic one shows emitters well.
+
+    Args:
+        radiance: of the lamp's own light, W/(m² sr).
+    """
+    return exposure_value(exposure, ev_of_white(1 / auto_exposure(radiance)))
+
+
+def portrait_half_width(lamp: Asset | Luminaire) -> float:
     """Half the side of a portrait, local units."""
     # Half the width of the bounding box as the camera sees it.
-    seen = np.abs(pose_towards(_PORTRAIT, (0, 1, 0), 4.0)[:3, :2].T) @ asset.frame.half_extents
+    seen = np.abs(pose_towards(_PORTRAIT, (0, 1, 0), 4.0)[:3, :2].T) @ lamp.frame.half_extents
     return _MARGIN * float(seen.max())
 
 
@@ -155,18 +211,30 @@ class _Studio:
         self,
         poses: Sequence[NDArray[np.float64]],
         spp: int,
-        exposure: float | None,
+        exposure: float,
         name: str,
+        so_far: Callable[[NDArray[np.uint8]], None] = lambda _: None,
     ) -> list[NDArray[np.uint8]]:
-        name = f"preview {name}"
-        if exposure is None:
-            # The same scene, whose kernel is compiled once.
-            exposure = auto_exposure(self._camera.take(poses[0], spp, 0, name)[0])
+        def photograph(radiance: NDArray[np.float32]) -> NDArray[np.uint8]:
+            return tonemap(radiance, OWN * exposure)
+
         self._light(1 / (OWN * exposure))
         return [
-            tonemap(self._camera.take(pose, spp, index, name)[0], OWN * exposure)
+            photograph(
+                self._camera.take(
+                    pose,
+                    spp,
+                    index,
+                    f"preview {name}",
+                    lambda image: so_far(photograph(image.radiance)),
+                )[0]
+            )
             for index, pose in enumerate(poses)
         ]
+
+    def own(self, pose: NDArray[np.float64], spp: int, name: str) -> NDArray[np.float32]:
+        """Radiance of the lamp before the studio is switched on, by the same kernel."""
+        return self._camera.take(pose, spp, 0, f"exposure of {name}")[0]
 
     def _light(self, level: float) -> None:
         """Switch the studio on; white is a radiance of `level`, W/(m² sr)."""

@@ -36,7 +36,7 @@ from lumitree.trace.medium_paths import coefficients, medium_after
 from lumitree.trace.spawning import scene_extent, spawn
 
 # Paths traced at once.
-BATCH = 1 << 20
+BATCH = 1 << 18
 # Russian roulette that never begins.
 _NO_ROULETTE = {"rr_depth": 1 << 20}
 # Number of events after which Russian roulette of camera paths begins.
@@ -59,7 +59,7 @@ def estimate_flux(
     """Flux that leaves a luminaire, from light paths.
 
     Args:
-        num_paths: independent paths, rounded up to whole batches of 2**20.
+        num_paths: independent paths, rounded up to whole batches of 2**18.
         path_depth: longest path, bounces.
         seed: root seed; estimates with different seeds are independent.
 
@@ -81,7 +81,7 @@ def flux_by_camera_paths(
 
     Args:
         num_paths: paths along random lines through the bounding sphere, rounded up to whole
-            batches of 2**20.
+            batches of 2**18.
         path_depth: longest path, events.
         seed: root seed.
 
@@ -161,7 +161,7 @@ def missed_by_depth(
     the difference has little noise.
 
     Args:
-        num_paths: rounded up to whole batches of 2**20.
+        num_paths: rounded up to whole batches of 2**18.
         path_depths: bounces, below `reference_depth`.
     """
     depths = (reference_depth, *path_depths)

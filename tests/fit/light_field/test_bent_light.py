@@ -12,7 +12,8 @@ from lumitree.trace.light_paths import LampRays, as_rows
 from lumitree.trace.segments import EndingConfig
 from support.lamps import AREA, cube, lamp_of, sphere
 
-CONFIG = LightFieldConfig(paths=1 << 19, batch=1 << 18, depth=4, resolution=16)
+DEPTH = 4
+CONFIG = LightFieldConfig(paths=1 << 19, batch=1 << 18, depth=DEPTH, resolution=16)
 RADIANCE = np.array([3.0, 2.0, 1.0])
 TINT = np.array([0.9, 0.5, 0.2])
 THIN = (
@@ -85,7 +86,7 @@ def test_light_through_a_mask_is_straight(bulb_in_box, box_field):
 
 
 def test_the_light_that_ends_is_straight_once(bulb_in_box, box_field):
-    """Of the emitted light, what the walls and the mask stop; all later segments are bent."""
+    """Straight light is emitted light that the walls and the mask stop; later segments are bent."""
     whole, bent = ending(box_field, bulb_in_box)
     expected = EMITTED * (5 + 0.4) / 6
     assert (whole - bent).sum(axis=0) == pytest.approx(expected, rel=0.02)
@@ -95,9 +96,10 @@ def test_the_light_that_ends_is_straight_once(bulb_in_box, box_field):
 def test_bent_light_that_ends_has_its_own_reach(bulb_in_box, box_field):
     """Flux beyond three distances, of another trace; a reach starts anywhere in its cell."""
     inside = box_field.inside
-    rays = LampRays(bulb_in_box).draw(1 << 18, 99, ending=EndingConfig(CONFIG.depth, 98)).ending
+    rays = LampRays(bulb_in_box).draw(1 << 18, 99, ending=EndingConfig(DEPTH, 98)).ending
+    assert rays is not None
     straight, origin = np.array(rays.straight), as_rows(rays.origin)
-    side = 2 / (1 << CONFIG.depth)
+    side = 2 / (1 << DEPTH)
     start = (np.floor(origin / side) + np.random.default_rng(1).random(origin.shape)) * side
     reach = np.array(rays.reach) + ((origin - start) * as_rows(rays.direction)).sum(axis=1)
     whole, bent = ending(box_field, bulb_in_box)

@@ -84,7 +84,7 @@ def test_flux_of_a_sphere(ball, field):
 
 
 def test_the_flux_of_the_paths_is_conserved(mi, ball, field):
-    """Bin by bin its ratios are those of the traced paths, up to the packing; none is lost."""
+    """The field has the flux of the traced paths in each bin, up to the packing; none is lost."""
     from lumitree.core.octahedral import bin_of
 
     expected = np.zeros((3, 256))
@@ -104,17 +104,17 @@ def test_the_flux_of_the_paths_is_conserved(mi, ball, field):
 
 def test_cells_of_a_sphere_are_those_of_its_surface(field):
     """Cells that the sphere does not cross emit nothing; all others do."""
-    side = 2 / (1 << CONFIG.depth)
+    side = 2 / (1 << field.depth)
     near = np.maximum(np.maximum(field.cells * side - 1, 1 - (field.cells + 1) * side), 0)
     far = np.maximum(np.abs(field.cells * side - 1), np.abs((field.cells + 1) * side - 1))
     assert (np.linalg.norm(near, axis=1) <= 1).all()
     assert (np.linalg.norm(far, axis=1) >= 1).all()
-    # Of 4 x 4 x 4 cells the 8 in the middle are not crossed.
+    # The 8 cells in the middle of 4 x 4 x 4 are not crossed.
     assert len(field.cells) == 56
 
 
 def test_a_sphere_emits_alike_into_all_directions(mi, field):
-    """Its intensity is π R² L, local R = 1; each cell's light is that of its own normals."""
+    """Its intensity is π R² L, local R = 1; each cell emits along its own normals."""
     found = intensities(field).sum(axis=0)
     expected = np.pi * RADIANCE
     counts = CONFIG.paths * bin_solid_angles(16) / (4 * np.pi)
@@ -315,7 +315,7 @@ def test_batches_of_other_seeds_compile_no_kernels(mi, tmp_path):
     lamp = lamp_of(
         tmp_path, sphere("ball", 0.2, inside=AREA), cube("shade", (0.5, 0.02, 0.5), (0.3, 0.4, 0))
     )
-    new = []
+    new, kernels = [], []
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
         for seed in range(4):
             # Kernels contain the emitters and BSDFs of all scenes that exist.
@@ -340,6 +340,6 @@ def test_the_noise_of_a_sphere_is_known(ball, field):
 def test_noise_from_one_estimate_or_none_is_not_known():
     assert relative_noise(np.ones((1, 16))) is None
     assert relative_noise(np.zeros((2, 16))) is None
-    # Of 1, 3 and 5: Σ (I - Ī)² / (K (K - 1)) = 8 / 6, and Ī = 3.
+    # The estimates 1, 3 and 5 have Σ (I - Ī)² / (K (K - 1)) = 8 / 6 and Ī = 3.
     estimates = np.array([[1.0], [3.0], [5.0]]).repeat(16, axis=1)
     assert relative_noise(estimates) == pytest.approx((8 / 6) ** 0.5 / 3)

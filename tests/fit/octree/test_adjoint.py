@@ -1,6 +1,7 @@
 """The adjoint of the field's integral: gradients against finite differences, and sums by weight."""
 
 import types
+from typing import Any
 
 import numpy as np
 import pytest
@@ -51,7 +52,7 @@ class ReferenceField:
         self.coefficients = asset.coefficients.astype(float)
 
     def integrate(self):
-        asset = types.SimpleNamespace(
+        asset: Any = types.SimpleNamespace(
             frame=self._asset.frame,
             l_max=self._asset.l_max,
             law=self._asset.law,
@@ -168,7 +169,7 @@ def test_leaves_too_thin_to_be_visible_have_the_right_gradient(mi, law):
 @pytest.mark.parametrize("law", ["linear", "exponential"])
 @pytest.mark.parametrize("density", [[0.3, 0.5, 0.2, 0.1], [0.6, 1.0, 1.8, 20.0]])
 def test_values_are_accumulated_by_weight(mi, law, density):
-    """Of several rays; a leaf behind an opaque one has no weight."""
+    """Values of several rays are summed; a leaf behind an opaque one has no weight."""
     from lumitree.fit.octree.leaf_field import accumulate_by_weight
 
     field = leaf_field(column(density, [0.5] * 4, law))

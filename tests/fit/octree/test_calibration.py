@@ -58,7 +58,7 @@ def test_a_region_that_is_too_bright_is_found(mi, law, l_max, split):
 
 @pytest.mark.parametrize("split", [False, True])
 def test_a_field_far_too_dark_gets_there(mi, split):
-    """The prior depends on the light of the luminaire and not on that of the dark field."""
+    """The prior depends on the light of the luminaire, not on the light of the dark field."""
     from lumitree.fit.octree.calibration import calibrate
 
     truth, _ = truth_and_start("exponential")
@@ -129,7 +129,7 @@ def test_calibration_of_a_correct_field_adds_little_noise(mi):
 
 @pytest.mark.parametrize("split", [False, True])
 def test_flux_correction_factor_is_what_l_max_lacks(mi, split):
-    """Of the true field, with an L_max that is too small."""
+    """The factor is measured on the true field, with an L_max that is too small."""
     from lumitree.fit.octree.calibration import flux_correction
 
     truth, _ = truth_and_start("exponential")
@@ -157,9 +157,14 @@ def test_both_end_after_a_first_part_when_the_time_is_over(mi):
     from lumitree.fit.octree.calibration import calibrate, flux_correction
 
     truth, _ = truth_and_start("exponential")
-    rays, drawn = FieldRays(mi, truth, split=True), []
-    draw = rays.draw
-    rays.draw = lambda count, *others: drawn.append(count) or draw(count, *others)
+    drawn = []
+
+    class Counted(FieldRays):
+        def draw(self, count, stream, wanted, light_paths_per_ray=0.0):
+            drawn.append(count)
+            return super().draw(count, stream, wanted, light_paths_per_ray)
+
+    rays = Counted(mi, truth, split=True)
     config = CalibrationConfig(rays=1 << 12)
     for over, rounds, draws in ((lambda: True, 1, 1), (lambda: False, 4, FLUX.draws)):
         calibrate(truth, rays, 1.0, config, stream(0), over)

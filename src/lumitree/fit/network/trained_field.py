@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lumitree.core.frames import LocalFrame
 from lumitree.core.harmonics import num_coefficients
-from lumitree.core.transmittance import EmissionWeights, Law
+from lumitree.fit.network.config import TrainConfig
 from lumitree.fit.network.network import render
 from lumitree.fit.network.rays import Occupancy, contains
 from lumitree.fit.network.step import initial_state
@@ -30,15 +30,12 @@ class TrainedField:
     The density is 0 outside the cells of `occupancy`.
     """
 
-    law: Law
-    l_max: int
+    config: TrainConfig
     max_radiance: float
     frame: LocalFrame
     luminaire: str
     num_steps: int
-    planned_steps: int
     occupancy: Occupancy
-    emission_weights: EmissionWeights
     _rays_per_call: int
     _render: Callable[[NDArray[np.float32], NDArray[np.float32]], tuple[jax.Array, jax.Array]]
     _contains: Callable[[NDArray[np.float32]], jax.Array]
@@ -56,7 +53,9 @@ class TrainedField:
         """
         positions = np.asarray(positions, np.float32).reshape(-1, 3)
         density = np.zeros(len(positions), np.float32)
-        coefficients = np.zeros((len(positions), 3, num_coefficients(self.l_max)), np.float32)
+        coefficients = np.zeros(
+            (len(positions), 3, num_coefficients(self.config.l_max)), np.float32
+        )
         chunk = _CPU_CHUNK if jax.default_backend() == "cpu" else _GPU_CHUNK
         padded = np.zeros((chunk, 3), np.float32)  # so that each function is compiled once
         for start in range(0, len(positions), chunk):
@@ -118,15 +117,12 @@ def load_field(run_path: str | os.PathLike[str]) -> TrainedField:
     chunk = _CPU_CHUNK if jax.default_backend() == "cpu" else _GPU_CHUNK
     positions = 2 * config.num_coarse + config.num_fine
     return TrainedField(
-        law=config.law,
-        l_max=config.l_max,
+        config=config,
         max_radiance=record.max_radiance,
         frame=record.frame,
         luminaire=record.luminaire,
         num_steps=int(state.step),
-        planned_steps=config.num_steps,
         occupancy=occupancy,
-        emission_weights=config.emission_weights,
         _rays_per_call=max(1, chunk // positions),
         _render=jax.jit(rendered),
         _contains=jax.jit(lambda positions: contains(occupancy, positions)),
