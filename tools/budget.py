@@ -36,8 +36,8 @@ OTHERS = {
     "lines of benchmarks": 9_800,
     "words of docs by hand": 45_000,
     "lines of README.md": 90,
-    "files that use the word gain": 22,
-    "lines with Any": 480,
+    "files that use the word gain": 12,
+    "lines with Any": 460,
     "private functions used once": 370,
 }
 

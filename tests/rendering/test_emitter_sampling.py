@@ -42,11 +42,6 @@ def test_connecting_the_lamp_to_a_camera_is_refused(mi):
         emitter.sample_position(0, mi.Point2f(0.5))
 
 
-def test_unknown_sampling_is_refused():
-    with pytest.raises(LumitreeError, match="expected emission"):
-        lumitree.shape(random_asset(6), sampling="best")
-
-
 @pytest.mark.slow
 def test_particle_tracing_gives_the_image_of_path_tracing(mi):
     place = similarity(rotation([1, 2, 3], 40), 0.4, [0.1, 0.9, -0.2])

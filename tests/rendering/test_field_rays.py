@@ -66,3 +66,17 @@ def test_a_field_without_light_gets_none(mi):
 
     dark = uniform_asset(0.0, [1.0, 1.0, 1.0])
     assert with_field_light(dark).light_field is None
+
+
+def test_rays_of_an_asset_have_its_flux_and_follow_the_seed(mi):
+    """An opaque cube of surface 24, π L per area."""
+    from lumitree.rendering.asset_flux import AssetRays
+
+    rays = AssetRays(uniform_asset(1e4, [3.0, 2.0, 1.0]))
+    (origin, _, flux), (again, *_), (other, *_) = (
+        rays.draw(1 << 16, seed).arrays() for seed in (1, 1, 2)
+    )
+    assert np.abs(origin).max() < 1 + 1e-5
+    assert flux.sum(axis=0) == pytest.approx(24 * np.pi * np.array([3, 2, 1]), rel=0.02)
+    assert np.array_equal(origin, again)
+    assert not np.array_equal(origin, other)

@@ -22,13 +22,14 @@ ASSETS = ("field", "both", "light")
 
 
 def lamps():
-    """Assets with the parts field; light_field and field; light_field."""
+    """Assets with the parts field; light_field and field; light_field; geometry."""
     field = random_asset(1)
     light_field = random_light_field(2)
     return {
         "field": field,
         "both": dataclasses.replace(field, light_field=light_field),
         "light": light_field_asset(light_field, field.frame, "test"),
+        "geometry": with_geometry(small_geometry(), LocalFrame(np.ones(3), np.eye(4))),
     }
 
 
@@ -63,11 +64,14 @@ def render(mi, scene, kind="lumitree_path", *, seed=1, params=None, **options):
 
 @pytest.mark.parametrize(
     ("asset", "kind"),
-    slow_but_sets(
-        [("light", "lumitree_path"), ("both", "path"), ("field", "volpath"), ("both", "prb")],
-        ASSETS,
-        ("lumitree_path", "path", "volpath", "prb"),
-    ),
+    [
+        ("geometry", "lumitree_path"),
+        *slow_but_sets(
+            [("light", "lumitree_path"), ("both", "path"), ("field", "volpath"), ("both", "prb")],
+            ASSETS,
+            ("lumitree_path", "path", "volpath", "prb"),
+        ),
+    ],
     indirect=["asset"],
 )
 def test_an_image_is_proportional_to_the_gain(mi, asset, kind):
@@ -86,51 +90,6 @@ def test_light_paths_carry_the_gain(mi, asset):
         images.append(np.array(mi.render(scene, integrator=integrator, spp=16, seed=3)))
     assert images[0].mean() > 0.01
     assert images[1] == pytest.approx(images[0] * GAIN, rel=1e-4, abs=1e-5)
-
-
-def test_methods_of_the_emitter_agree_on_it(mi, asset):
-    """Radiance, by each method that returns it; densities and transmittance without the gain."""
-    import drjit as dr
-
-    count = 512
-    found = []
-    for gain in (1, GAIN):
-        scene = scene_with(mi, asset, gain=gain)
-        emitter = scene.emitters()[0]
-        it = dr.zeros(mi.Interaction3f, count)
-        it.p = mi.Point3f(2.5, 1.0, 0.7)
-        sampler = mi.load_dict({"type": "independent"})
-        sampler.seed(1, count)
-        sample = sampler.next_2d()
-        ds, weight = emitter.sample_direction(it, sample)
-        si = scene.ray_intersect(mi.Ray3f(it.p, ds.d))
-        specular_chain = mi.Bool(True)
-        probabilities = mi.Float(0.3), mi.Float(0.5)
-        ray = mi.Ray3f(it.p, ds.d)
-        end = mi.Float(dr.inf)
-        radiance, through = emitter.lamp.eval_entered(
-            ray, si.t, it, specular_chain, *probabilities, end, si.is_valid()
-        )
-        sampled = emitter.lamp.sample_target(it, sample, mi.Bool(False), mi.Bool(True))
-        value = emitter.lamp.eval_target(it, sampled, *probabilities, sampled.valid)
-        _, flux = emitter.sample_ray(0.0, sampler.next_1d(), sample, sampler.next_2d())
-        light = (
-            weight,
-            emitter.eval(si),
-            emitter.eval_direction(it, ds),
-            radiance,
-            value,
-            flux,
-        )
-        other = (ds.pdf, emitter.pdf_direction(it, ds), through)
-        found.append([[np.array(each) for each in group] for group in (light, other)])
-    (plain, same), (gained, again) = found
-    for first, second in zip(plain, gained, strict=True):
-        assert first.max() > 0
-        expected = first.reshape(3, -1) * np.array(GAIN)[:, None]
-        assert second.reshape(3, -1) == pytest.approx(expected, rel=1e-5)
-    for first, second in zip(same, again, strict=True):
-        assert np.array_equal(first, second)
 
 
 def test_lamps_of_one_asset_have_gains_of_their_own(mi):
@@ -152,6 +111,7 @@ def test_lamps_of_one_asset_have_gains_of_their_own(mi):
         assert ((light > 0) == np.array(gain, bool)).all()
 
 
+@pytest.mark.parametrize("asset", [*ASSETS, "geometry"], indirect=True)
 def test_another_gain_needs_no_reload_and_no_new_kernel(mi, asset):
     import drjit as dr
 
@@ -228,24 +188,6 @@ def test_the_gradient_is_that_of_finite_differences(mi, asset, kind):
         differences.append(ends[1] - ends[0])
     assert gradient == pytest.approx(differences, rel=1e-3)
     assert min(differences) > 0.01
-
-
-@pytest.mark.slow
-def test_the_gain_of_an_image_is_recovered_by_descent(mi):
-    import drjit as dr
-
-    scene = scene_with(mi, lamps()["both"], gain=GAIN)
-    target = render(mi, scene, "prb", seed=2)
-    params = mi.traverse(scene)
-    params[NAME] = mi.Color3f(1)
-    optimiser = mi.ad.Adam(lr=0.4, params={NAME: params[NAME]})
-    for step in range(25):
-        params.update(optimiser)
-        image = render(mi, scene, "prb", seed=100 + step, params=params)
-        dr.backward(dr.mean(dr.square(image - target), axis=None))
-        optimiser.step()
-        optimiser[NAME] = dr.clip(optimiser[NAME], 0, 10)
-    assert np.array(optimiser[NAME]).ravel() == pytest.approx(GAIN, rel=0.15)
 
 
 BAD = [-1, (1, 2), (1, 2, -3), "bright", float("nan"), None, (1, 2, float("inf")), 1e9, [[1, 2]]]

@@ -447,35 +447,6 @@ def test_a_surface_gets_the_own_light_of_its_lamp_alone(make, shaded):
     assert_same_expectation(ours, theirs)
 
 
-@pytest.mark.parametrize("changed", [False, True])
-def test_the_gain_applies_to_the_lamp_and_to_its_light(shaded, changed):
-    """Of an image with both; in a scene that is loaded with it, and in one that is changed."""
-    import mitsuba as mi
-
-    _, asset = shaded
-    gain = (2.0, 1.0, 0.5)
-    view = camera([0.3, 1.2, 2.5], [0, 0.9, 0])
-    room = {"sensor": view, "floor": floor({"type": "diffuse"})}
-
-    def image(gain):
-        loaded = mi.load_dict({"type": "scene", **room, **baked(asset, gain=gain)})
-        return loaded, lambda: np.array(
-            mi.render(loaded, integrator=mi.load_dict({"type": "lumitree_path"}), spp=16, seed=3)
-        )
-
-    loaded, render = image(1.0)
-    plain = render()
-    if changed:
-        parameters = mi.traverse(loaded)
-        (name,) = (key for key, _ in parameters if key.endswith("emitter.gain"))
-        parameters[name] = mi.Color3f(*gain)
-        parameters.update()
-    else:
-        loaded, render = image(gain)
-    assert plain.max() > 0
-    np.testing.assert_allclose(render(), plain * gain, rtol=1e-3, atol=1e-6)
-
-
 @pytest.mark.slow
 def test_light_paths_start_at_the_box_of_a_lamp_with_geometry(shaded):
     """Particle tracing compiles the emitters of the geometry's shapes too, which start none."""

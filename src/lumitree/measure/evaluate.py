@@ -127,9 +127,9 @@ def evaluate(
 
     The irradiance is compared on the six faces of a cube of three times the size of the bounding
     box, and on a plane that touches the box from below. It is not compared for a dataset, which has
-    no light paths. An asset that has a gain, because it was baked with `lumens` or
-    `temperature`, is compared without it. With a photometric file, or another asset, only the
-    irradiance is compared.
+    no light paths. The factors on the light of an asset that was baked with `lumens` or
+    `temperature` are left out. With a photometric file, or another asset, only the irradiance is
+    compared.
 
     Args:
         asset: an asset, or the path of a `.lumitree` file, a photometric file or a ray file.

@@ -94,9 +94,9 @@ _FAR_NOTE = (
     "photometric file is wrong by more; use the asset instead."
 )
 _COLOUR_NOTE = (
-    "Colour rendering is computed from the spectrum of the bare emitters. Glass, shades and a gain "
-    "shift the colour by the distance that is stated; above about 0.003 the light that leaves "
-    "renders colours differently."
+    "Colour rendering is computed from the spectrum of the bare emitters. Glass, shades and "
+    "factors on the light shift the colour by the distance that is stated; above about 0.003 the "
+    "light that leaves renders colours differently."
 )
 _UGR_TITLE = "UGR: five columns crosswise, five endwise"
 _UGR_NOTE = (

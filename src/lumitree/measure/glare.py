@@ -18,7 +18,6 @@ from lumitree.core.progress import reporting
 from lumitree.errors import LumitreeError, LumitreeWarning, explained
 from lumitree.formats.type_c import IntensityDistribution
 from lumitree.lamp.source import LuminaireSource, source_kind
-from lumitree.rendering.asset_flux import asset_watts
 from lumitree.rendering.placement import Placement
 from lumitree.rendering.render import RenderResult
 
@@ -196,8 +195,7 @@ def lamp_glare(
         towards = -offset @ turn / (scale * distance)
         lumens = light.lumens * (scale * metres) ** 2
         if lamp.asset is not None:
-            grown = metres * (1 if lamp.asset.is_photometric else scale)
-            lumens = float(luminance(asset_watts(lamp.asset) * lamp.gain)) * grown**2
+            lumens = float(luminance(lamp.watts))
         candela = float(light.at(towards)) * lumens / light.lumens
         area = float(light.opening.projected_area(towards)) * (scale * metres) ** 2 or _POINT_AREA
         across, height, depth = axes @ offset

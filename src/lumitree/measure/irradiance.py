@@ -178,7 +178,7 @@ def check_irradiance_paths(paths: int) -> None:
 def measure_irradiance(
     asset: Asset, luminaire: "Luminaire", num_paths: int, watch: Stopwatch
 ) -> Json | None:
-    """Compare the irradiance around an asset, without its gain, and around its luminaire.
+    """Compare the irradiance around an asset, without its factors, and around its luminaire.
 
     Warns of a large error, and of fluxes of the luminaire that differ.
 

@@ -144,13 +144,13 @@ def mean_metrics(views: Sequence[Mapping[str, float]]) -> dict[str, float]:
 def gain_over_black(metrics: Mapping[str, float]) -> dict[str, float]:
     """By how many decibels the PSNRs of an asset exceed an all-black prediction's.
 
-    Where a lamp covers few pixels, even a black prediction has a high PSNR. The gain of a view is
-    10 log10(mean squared error of black / mean squared error of the asset). Below 0 dB, black has
-    the smaller error.
+    Where a lamp covers few pixels, even a black prediction has a high PSNR. For a view the result
+    is 10 log10(mean squared error of black / mean squared error of the asset). Below 0 dB, black
+    has the smaller error.
 
     Args:
         metrics: result of `view_metrics` for one view, or of `mean_metrics`; other names are
-            ignored. The gain of means is the mean of the views' gains.
+            ignored. The result for means is the mean of the views' results.
 
     Returns:
         `gain_linear` and `gain_mulaw`, dB: `psnr_linear` minus `psnr_linear_black`, and

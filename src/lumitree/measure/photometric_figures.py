@@ -125,8 +125,8 @@ class ColourFigures:
         rendering: figures of colour rendering; None without a colour temperature, or without the
             package `colour-science`.
         shift: distance in the CIE 1976 (u', v') diagram between the mean RGB colour of the light
-            that leaves the luminaire and the colour of the spectrum. Glass, surfaces and a gain
-            cause it, and for saturated colours the gamut of sRGB.
+            that leaves the luminaire and the colour of the spectrum. Glass, surfaces and a
+            `temperature` of the bake cause it, and for saturated colours the gamut of sRGB.
     """
 
     colour_temperature: float | None
