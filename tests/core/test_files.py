@@ -411,6 +411,18 @@ def test_files_of_an_output_appear_together_and_replace_older_ones(tmp_path):
     assert (tmp_path / "lamp.rad").read_text() == (tmp_path / "lamp.zz.dat").read_text() == "new"
 
 
+def test_files_of_a_folder_beside_an_output_replace_older_ones(tmp_path):
+    for text in ("old", "new"):
+        with atomic_files(tmp_path / "lamp.rad") as folder:
+            (folder / "lamp_files").mkdir()
+            (folder / "lamp_files/lamp.rad").write_text(text)
+            (folder / "lamp.rad").write_text(text)
+        (tmp_path / "lamp_files/other").write_text("mine")
+    assert sorted(os.listdir(tmp_path)) == ["lamp.rad", "lamp_files"]
+    assert (tmp_path / "lamp_files/lamp.rad").read_text() == "new"
+    assert (tmp_path / "lamp_files/other").read_text() == "mine"
+
+
 @pytest.mark.parametrize("write", [atomic_files, atomic_folder])
 def test_files_that_failed_leave_no_trace(tmp_path, write):
     def fail(error):
