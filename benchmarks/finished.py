@@ -205,7 +205,7 @@ def draw(
     reference: NDArray[np.float32],
 ) -> None:
     """Each method's image after about the baked one's time, beside the reference."""
-    from lumitree.rendering.drawing import write_strip
+    from lumitree.rendering.drawing import Panel, write_strip
     from lumitree.rendering.photograph import PhotoSettings
 
     end, panels = methods[BASELINE]["seconds"], []
@@ -213,10 +213,10 @@ def draw(
         point = min(methods[method]["points"], key=lambda each: abs(np.log(each["seconds"] / end)))
         caption = f"{method}, {point['samples']} samples\n{point['seconds']:.0f} s, "
         panels.append(
-            (f"{caption}hdr_flip {point['hdr_flip']:.3f}", images[method, point["samples"]])
+            Panel(f"{caption}hdr_flip {point['hdr_flip']:.3f}", images[method, point["samples"]])
         )
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_strip(path, [*panels, ("reference", reference)], PhotoSettings(), columns=3)
+    write_strip(path, [*panels, Panel("reference", reference)], PhotoSettings(), columns=3)
 
 
 def times_table(rows: list[dict[str, Any]]) -> Table:

@@ -194,7 +194,7 @@ def table(row: dict[str, Any]) -> Table:
 
 def draw(path: Path, found: dict[str, Method], runs: dict[str, LongRun], seconds: float) -> None:
     """The images of all methods after about equally much CPU time, as one PNG."""
-    from lumitree.rendering.drawing import write_strip
+    from lumitree.rendering.drawing import Panel, write_strip
     from lumitree.rendering.photograph import PhotoSettings, ev_of_white
 
     clean = runs[BASELINES[0]].mean
@@ -203,7 +203,7 @@ def draw(path: Path, found: dict[str, Method], runs: dict[str, LongRun], seconds
         cost = run.seconds["cpu"] / len(run.batches)
         count = max(1, min(len(run.batches), round(seconds / cost)))
         caption = f"{found[name].label}\n{count * run.samples} samples, {count * cost:.1f} CPU s"
-        panels.append((caption, run.batches[:count].mean(0)))
+        panels.append(Panel(caption, run.batches[:count].mean(0)))
     path.parent.mkdir(parents=True, exist_ok=True)
     ev = ev_of_white(float(np.median(clean)) / 0.3)
     settings = PhotoSettings(exposure=f"ev={ev}", white_balance="off", view="srgb")

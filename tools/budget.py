@@ -22,7 +22,7 @@ LINES = {
     "exports": 3_600,
     "fit": 5_900,
     "formats": 4_100,
-    "lamp": 10_650,
+    "lamp": 10_500,
     "many": 600,
     "measure": 5_120,
     "octree": 1_050,
@@ -37,8 +37,8 @@ OTHERS = {
     "words of docs by hand": 45_000,
     "lines of README.md": 90,
     "files that use the word gain": 12,
-    "lines with Any": 460,
-    "private functions used once": 370,
+    "lines with Any": 415,
+    "private functions used once": 360,
 }
 
 

@@ -276,7 +276,7 @@ PROGRAMS = (
 
 def main(asset_path: str, kept: Path) -> None:
     import lumitree
-    from lumitree.rendering.drawing import write_strip
+    from lumitree.rendering.drawing import Panel, write_strip
     from lumitree.rendering.photograph import PhotoSettings, ev_of_white
 
     load_mitsuba()
@@ -288,7 +288,7 @@ def main(asset_path: str, kept: Path) -> None:
         if not path.exists():
             with tempfile.TemporaryDirectory() as folder:
                 np.save(path, render(asset, scene, Path(folder)))
-        panels.append((caption, np.load(path)))
+        panels.append(Panel(caption, np.load(path)))
     ev = ev_of_white(float(np.median(luminance(panels[0][1]))) / (0.25 * LUMENS))
     settings = PhotoSettings(exposure=f"ev={ev}", white_balance="off", view="srgb")
     with tempfile.TemporaryDirectory() as folder:

@@ -5,9 +5,6 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from lumitree.asset.asset import PARTS
 from lumitree.core.backend import load_rgb
 from lumitree.core.files import write_json
@@ -83,7 +80,7 @@ def _render_room(
     """Render the room with both lamps in equal time, and write the images."""
     load_rgb()
     from lumitree.rendering.demo_room import demo_room, lamp
-    from lumitree.rendering.drawing import write_strip
+    from lumitree.rendering.drawing import Panel, write_strip
     from lumitree.rendering.layers import check_denoiser
 
     try:
@@ -102,13 +99,16 @@ def _render_room(
         )
         for name, source in (("baked", asset), ("explicit", LUMINAIRE))
     }
-    images: list[tuple[str, NDArray[np.float32]]] = []
+    images: list[Panel] = []
     for name, image in found.items():
         assert image.noisy is not None
-        images.append((_caption(name, image), image.noisy))
+        images.append(Panel(_caption(name, image), image.noisy, image.highlights))
         image.save(output / f"room-{name}.exr")
     if filters:
-        images += [(f"{name} lamp, denoised", image.pixels) for name, image in found.items()]
+        images += [
+            Panel(f"{name} lamp, denoised", image.pixels, image.highlights)
+            for name, image in found.items()
+        ]
     write_strip(
         output / "comparison.png",
         images,

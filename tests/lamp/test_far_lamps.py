@@ -187,15 +187,6 @@ def test_an_asset_is_exported_near_the_origin(mi):
         assert np.allclose(mesh["vertices"], other["vertices"], atol=1e-6)
 
 
-def test_vertices_that_are_rounded_by_their_file_are_told_of(mi, lamps, tmp_path):
-    _, far = lamps("obj")
-    (tmp_path / "lamp.xml").write_text(
-        scene(f'<shape type="obj" id="tent"><string name="filename" value="{far}"/>{AREA}</shape>')
-    )
-    with pytest.warns(LumitreeWarning, match=r"vertices of tent .* multiples of 0\.5, \d\d\.\d+%"):
-        lumitree.load_luminaire(str(tmp_path / "lamp.xml"))
-
-
 def test_a_scene_that_is_far_is_told_of(mi, lamps):
     """Its coordinates are float32 already."""
     lamp = {"type": "sphere", "center": [0, 1e5, 0], "emitter": {"type": "area"}}

@@ -1,7 +1,5 @@
 """Every kind of file behind one argument: formats, overrides, selection, fingerprints, light."""
 
-import os
-
 import numpy as np
 import pytest
 import trimesh
@@ -10,6 +8,7 @@ from lumitree.errors import LumitreeError
 from lumitree.lamp.luminaire import load_luminaire
 from lumitree.lamp.read_source import read_model
 from lumitree.lamp.source import LuminaireSource
+from support.lamps import AREA, lamp_of, sphere
 
 BALL = trimesh.creation.icosphere(subdivisions=3, radius=5)
 STEM = trimesh.creation.box((1, 1, 20)).apply_translation([0, 0, 15])
@@ -78,12 +77,8 @@ def test_named_overrides_take_the_place_of_those_beside_the_model(lamp, tmp_path
 
 def test_fingerprint_covers_model_materials_and_overrides(lamp):
     def fingerprint(**options):
-        # Stamps have the clock's resolution.
-        for path in lamp.parent.glob("lamp.*"):
-            os.utime(path, ns=(next(clock), next(clock)))
         return load_luminaire(LuminaireSource(str(lamp), **options)).fingerprint
 
-    clock = iter(range(10**9, 2 * 10**9, 10**6))
     lamp.with_suffix(".toml").write_text(BULB)
     prints = [fingerprint()]
     assert fingerprint() == prints[0]
@@ -134,7 +129,6 @@ def test_variant_is_for_gltf_alone(lamp):
 
 
 SHAPE = '<shape type="sphere"{}><point name="center" x="{}" y="0" z="0"/>{}</shape>'
-AREA = '<emitter type="area"><rgb name="radiance" value="3,2,1"/></emitter>'
 ROOM = (
     '<scene version="3.0.0"><integrator type="path"/><sensor type="perspective"/>'
     '<emitter type="constant" id="sky"/><bsdf type="dielectric" id="glass"/>'
@@ -196,3 +190,9 @@ def test_unknown_formats_and_names(mi, tmp_path):
     (tmp_path / "folder.obj").mkdir()
     with pytest.raises(LumitreeError, match="is a folder; expected an OBJ file"):
         load_luminaire(tmp_path / "folder.obj")
+
+
+@pytest.mark.parametrize("kind", ["point", "spot", "constant", "directional", "area"])
+def test_emitters_without_a_shape_are_refused(mi, tmp_path, kind):
+    with pytest.raises(LumitreeError, match=rf"\({kind}\)"):
+        lamp_of(tmp_path, sphere("bulb", 0.1, inside=AREA), f'<emitter type="{kind}"/>')

@@ -233,7 +233,6 @@ REFUSED = {
 }
 
 
-@pytest.mark.filterwarnings("ignore:.* has no attribute 'vertex_color'")
 @pytest.mark.parametrize(("material", "reason"), REFUSED.items())
 def test_materials_that_cannot_be_stored_are_refused_in_a_line(luminaire, material, reason):
     with pytest.raises(LumitreeError, match=f"shape 'a': {reason}") as caught:

@@ -6,11 +6,11 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.colors import LogNorm, Normalize
-from numpy.typing import NDArray
 from PIL import Image
 
 from lumitree.rendering.drawing import (
     ColourScale,
+    Panel,
     Tile,
     image_grid,
     luminance_png,
@@ -79,14 +79,13 @@ def test_numbers_that_are_not_known_are_grey():
 
 def test_a_strip_has_rows(tmp_path):
     rng = np.random.default_rng(1)
-    rooms: list[tuple[str, NDArray[np.floating]]]
-    rooms = [(f"room {number}", rng.random((30, 500, 3))) for number in range(3)]
+    rooms = [Panel(f"room {number}", rng.random((30, 500, 3))) for number in range(3)]
     settings = PhotoSettings(exposure="ev=-9", view="srgb", white_balance="off")
     write_strip(tmp_path / "strip.png", rooms, settings, "made so", columns=2)
     with Image.open(tmp_path / "strip.png") as image:
         assert image.info["Comment"] == "made so"
         pixels = np.asarray(image)[..., :3]
-    for corner, (_, radiance) in zip(((16, 16), (16, 522), (72, 16)), rooms, strict=True):
+    for corner, (_, radiance, _) in zip(((16, 16), (16, 522), (72, 16)), rooms, strict=True):
         row, column = corner
         shown = pixels[row : row + 30, column : column + 500]
         assert (shown == settings.photograph(radiance).pixels).all()

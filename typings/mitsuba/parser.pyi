@@ -1,13 +1,23 @@
 from typing import Any
 
+from . import Properties
+
 class ParserConfig:
     unused_parameters: Any
     parallel: bool
     merge_meshes: bool
     def __init__(self, variant: str | None) -> None: ...
 
+class SceneNode:
+    type: Any
+    props: Properties
+    file_index: int
+    offset: int
+    def __init__(self) -> None: ...
+
 class ParserState:
-    nodes: list[Any]
+    nodes: list[SceneNode]
+    def __init__(self, other: ParserState = ...) -> None: ...
     def __getattr__(self, name: str) -> Any: ...
 
 def parse_file(config: ParserConfig, filename: str) -> ParserState: ...

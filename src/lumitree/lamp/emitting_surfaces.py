@@ -21,7 +21,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -258,7 +257,7 @@ def _areas(shape: mi.Shape) -> NDArray[np.float64]:
     return np.linalg.norm(np.cross(*np.moveaxis(corners[:, 1:] - corners[:, :1], 1, 0)), axis=1) / 2
 
 
-def replace_textured_areas(state: Any) -> None:
+def replace_textured_areas(state: mi.parser.ParserState) -> None:
     """Let area emitters with a texture in a mi.parser.ParserState be emitters `lumitree_area`."""
     for node in state.nodes:
         props = node.props

@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from lumitree.core.backend import in_turn, load_mitsuba
 from lumitree.core.executor import packed, unpacked
 from lumitree.core.frames import LocalFrame, float32_step, is_far
 from lumitree.core.mitsuba_meshes import mesh_vertices
-from lumitree.errors import LumitreeError, LumitreeWarning, shown, shown_names
+from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.lamp.builtin import BUILTIN
 from lumitree.lamp.media import any_scatters, media_of
 from lumitree.lamp.read_source import (
@@ -28,11 +28,13 @@ from lumitree.lamp.read_source import (
     open_scene_file,
 )
 from lumitree.lamp.scene_file import SceneFile
-from lumitree.lamp.scene_shapes import SceneShape, check_evaluates, shape_of_object
+from lumitree.lamp.scene_shapes import SceneShape, shape_of_object
 from lumitree.lamp.scene_writer import model_shapes
 from lumitree.lamp.source import LuminaireSource
 
 if TYPE_CHECKING:
+    import mitsuba as mi
+
     from lumitree.lamp.emitting_surfaces import EmittingSurfaces
 
 
@@ -58,7 +60,7 @@ class Luminaire:
 
     name: str
     fingerprint: str
-    scene: Any
+    scene: "mi.Scene"
     has_media: bool
     scatters: bool
     frame: LocalFrame
@@ -171,7 +173,7 @@ def load_luminaire(
     if isinstance(luminaire, Luminaire):
         return luminaire
     if isinstance(luminaire, mi.Scene):
-        return _luminaire_of_scene(luminaire)
+        return _luminaire_of_scene(cast("mi.Scene", luminaire))
     return _luminaire_of_source(luminaire)
 
 
@@ -198,9 +200,7 @@ def _luminaire_of_source(luminaire: Opened) -> Luminaire:
         placed = file.recentred(origin)
         scene = placed.instantiate()
     fingerprint = fingerprint_of(file, source)
-    loaded = _luminaire(name, fingerprint, scene, bool(media), shapes, placed, origin)
-    _warn_of_far_meshes(loaded, placed)
-    return loaded
+    return _luminaire(name, fingerprint, scene, bool(media), shapes, placed, origin)
 
 
 def _origin_near(box: NDArray[np.float64], tolerance: float = 1) -> NDArray[np.float64]:
@@ -217,33 +217,15 @@ def _origin_near(box: NDArray[np.float64], tolerance: float = 1) -> NDArray[np.f
     return box.mean(axis=0).astype(np.float32).astype(np.float64)
 
 
-def _warn_of_far_meshes(luminaire: Luminaire, file: SceneFile) -> None:
-    """Warn of mesh files with vertices so far from their own origin that float32 rounds them."""
-    size, centre = float(luminaire.size.max()), luminaire.scene_frame.centre
-    # A mesh is about where the lamp is.
-    offsets = {name: place - centre for name, place in file.mesh_files()}
-    far = [name for name, offset in offsets.items() if is_far(offset, size)]
-    if far:
-        step = max(float32_step(offsets[name]) for name in far)
-        warnings.warn(
-            f"{luminaire.name}: vertices of {shown_names(far)} are so far from the origin of their "
-            f"file that Mitsuba rounds them to multiples of {step:.2g}, {step / size:.2%} of the "
-            "lamp's size; move the mesh to the origin of its file and place it by to_world",
-            LumitreeWarning,
-            stacklevel=4,
-        )
-
-
 def _luminaire(
     name: str,
     fingerprint: str,
-    scene: Any,
+    scene: "mi.Scene",
     has_media: bool,
     shapes: tuple[SceneShape, ...],
     file: SceneFile | None,
     origin: NDArray[np.float64],
 ) -> Luminaire:
-    check_evaluates(scene, shapes, name)
     frame = LocalFrame.of_box(np.ravel(scene.bbox().min), np.ravel(scene.bbox().max))
     return Luminaire(
         name=name,
@@ -259,7 +241,7 @@ def _luminaire(
     )
 
 
-def _luminaire_of_scene(scene: Any) -> Luminaire:
+def _luminaire_of_scene(scene: "mi.Scene") -> Luminaire:
     """The luminaire of a `mi.Scene`."""
     shapes = tuple(shape_of_object(*item) for item in enumerate(scene.shapes()))
     loose = [each.class_name() for each in scene.emitters() if each.get_shape() is None]
@@ -290,7 +272,7 @@ def _check_media(what: str, kinds: set[str]) -> None:
         raise LumitreeError(f"{what} has a heterogeneous medium; use homogeneous media")
 
 
-def _bounding_radius(scene: Any, frame: LocalFrame) -> float:
+def _bounding_radius(scene: "mi.Scene", frame: LocalFrame) -> float:
     """Largest distance from the centre to a vertex, or to a box corner of a shape without any."""
     farthest = 0.0
     for shape in scene.shapes():

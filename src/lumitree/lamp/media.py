@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,7 +72,7 @@ def _rgb(values: NDArray[np.float64]) -> RGB:
     return (red, green, blue)
 
 
-def _anisotropy(phase: Any) -> float:
+def _anisotropy(phase: mi.Object) -> float:
     kind = phase.class_name()
     if kind == "IsotropicPhaseFunction":
         return 0.0
@@ -112,7 +112,7 @@ def keep_clear_channels(scene: mi.Scene) -> None:
                 parameters.update()
 
 
-def _coefficients(medium: mi.Medium) -> tuple[Any, Any, Any]:
+def _coefficients(medium: mi.Medium) -> tuple[mi.Spectrum, mi.Spectrum, mi.Spectrum]:
     """Scattering, null and total extinction of a homogeneous medium, at any point."""
     mi = load_mitsuba()
     # Not at the top: Dr.Jit looks for its library when it is imported.

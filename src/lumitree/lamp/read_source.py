@@ -19,7 +19,7 @@ from lumitree.core.reading import read_bytes
 from lumitree.errors import LumitreeError, shown, shown_names
 from lumitree.lamp.builtin import BUILTIN
 from lumitree.lamp.importers.faults import warn_of_likely_faults, without_repeated
-from lumitree.lamp.importers.model_files import MAX_MODEL_BYTES, noted_files
+from lumitree.lamp.importers.model_files import MAX_MODEL_BYTES
 from lumitree.lamp.importers.overrides import (
     Overrides,
     apply_overrides,
@@ -41,8 +41,6 @@ _NOT_LUMINAIRES: dict[str, str] = {
     "photometric": "a photometric file, which has no shapes and is used as an asset",
     "dataset": "a dataset",
 }
-# A version of a file: its path, time, size and inode.
-Stamp = tuple[str, int, int, int]
 Opened = str | os.PathLike[str] | LuminaireSource | Mapping[str, Any]
 
 
@@ -109,23 +107,14 @@ def luminaire_source(luminaire: Opened) -> LuminaireSource:
     return as_source(luminaire)
 
 
-def _stamp(path: Path) -> Stamp:
-    if not os.path.exists(path):
-        return str(path), 0, 0, 0
-    status = path.stat()
-    # Times of clocks that were set back may repeat.
-    return str(path), status.st_mtime_ns, status.st_size, status.st_ino
-
-
-@functools.lru_cache(maxsize=64)
-def _written(
-    source: LuminaireSource, stamps: tuple[Stamp, ...]
-) -> tuple[Path, ScratchFolder, tuple[Stamp, ...]]:
-    """The scene written for a source, its folder, and the files that its model names."""
+def _written(source: LuminaireSource) -> tuple[Path, ScratchFolder]:
+    """The scene written for a source, and its folder."""
     folder = ScratchFolder()
-    with noted_files() as files:
-        path = write_scene(read_model(source), folder.path)
-    return path, folder, tuple(map(_stamp, files))
+    return write_scene(read_model(source), folder.path), folder
+
+
+# A built-in lamp is always the same.
+_written_builtin = functools.lru_cache(maxsize=16)(_written)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -192,8 +181,7 @@ def fingerprint_of(file: SceneFile, source: LuminaireSource) -> str:
 def scene_path(source: LuminaireSource) -> tuple[Path, ScratchFolder | None]:
     """Path of the Mitsuba scene file of a luminaire, and its folder if that is a temporary one.
 
-    Built-in luminaires and models are written to a temporary folder, and again when a file has
-    changed.
+    Built-in luminaires and models are written to a temporary folder.
     """
     path = Path(source.name)
     builtin = source.name in BUILTIN
@@ -215,20 +203,14 @@ def scene_path(source: LuminaireSource) -> tuple[Path, ScratchFolder | None]:
                 f"{path} is a Mitsuba scene, to which --materials does not apply; edit its BSDFs"
             )
         return path, getattr(source, "folder", None)
-    return _written_model(source)[:2]
-
-
-def _written_model(source: LuminaireSource) -> tuple[Path, ScratchFolder, tuple[Stamp, ...]]:
-    builtin = source.name in BUILTIN
-    files = () if builtin else (Path(source.name), overrides_path(source))
-    stamps = tuple(_stamp(file) for file in files if file is not None)
-    written = _written(source, stamps)
-    path, _, named = written
-    # Old temporary files are removed on many systems.
-    if not path.is_file() or any(_stamp(Path(each[0])) != each for each in named):
-        _written.cache_clear()
-        written = _written(source, stamps)
-    return written
+    if not builtin:
+        return _written(source)
+    path, folder = _written_builtin(source)
+    if not path.is_file():
+        # Old temporary files are removed on many systems.
+        _written_builtin.cache_clear()
+        path, folder = _written_builtin(source)
+    return path, folder
 
 
 def _written_dictionary(description: dict[str, Any]) -> LuminaireSource:

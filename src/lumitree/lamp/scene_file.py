@@ -194,21 +194,19 @@ class SceneFile:
         loose = (self._state.nodes[index] for index in sorted(self._reached({0}) - held))
         return [node.props.plugin_name() for node in loose if self._is_a(node, "Emitter")]
 
-    def nodes(self, kind: str) -> list[Any]:
+    def nodes(self, kind: str) -> list[mi.parser.SceneNode]:
         """Nodes of one type of Mitsuba object, such as "Shape" or "Emitter"."""
         return [node for node in self._used() if self._is_a(node, kind)]
 
-    def children(self, props: mi.Properties) -> dict[str, Any]:
+    def children(self, props: mi.Properties) -> dict[str, mi.parser.SceneNode]:
         """Nodes that a node's properties refer to, by the names of the properties."""
         return {name: self._state.nodes[index] for name, index in referred(props).items()}
 
-    def within(self, props: mi.Properties, *kinds: str) -> list[Any]:
-        """Nodes of some types that a node refers to, and all within these, each once."""
+    def bsdfs(self, props: mi.Properties) -> list[mi.parser.SceneNode]:
+        """The BSDF that a shape refers to, and all within it, each once."""
         nodes = self._state.nodes
-        start = {
-            i for i in referred(props).values() if any(self._is_a(nodes[i], kind) for kind in kinds)
-        }
-        return [nodes[index] for index in sorted(self._reached(start))]
+        start = {i for i in referred(props).values() if self._is_a(nodes[i], "BSDF")}
+        return [nodes[i] for i in sorted(self._reached(start)) if self._is_a(nodes[i], "BSDF")]
 
     def set_rgb_films(self) -> None:
         """Make all films store R, G and B, and nothing else."""
@@ -273,14 +271,6 @@ class SceneFile:
             props["to_world"] = transform(matrix_of(props) @ similarity(np.eye(3), 1.0, place))
         return found.moved(similarity(np.eye(3), 1.0, -np.asarray(origin)))
 
-    def mesh_files(self) -> list[tuple[str, NDArray[np.float64]]]:
-        """Name of each shape that a file has, and [3] where its transform puts (0, 0, 0)."""
-        return [
-            (shown(props.id() or props["filename"], 100), matrix_of(props)[:3, 3])
-            for props in self._placed_shapes()
-            if "filename" in props
-        ]
-
     def analytic_box(self) -> NDArray[np.float64]:
         """[2, 3] a box around the shapes that are no files, in double precision; NaN for none."""
         corners = [np.full((2, 3), np.nan)]
@@ -312,7 +302,7 @@ class SceneFile:
         with self._searching() as resolver:
             return Path(str(resolver.resolve(name)))
 
-    def _used(self) -> list[Any]:
+    def _used(self) -> list[mi.parser.SceneNode]:
         """Nodes that belong to the scene, directly or within others, in the order of the file."""
         return [self._state.nodes[index] for index in sorted(self._reached({0}))]
 
@@ -372,7 +362,7 @@ class SceneFile:
         return scene
 
     @contextlib.contextmanager
-    def _searching(self) -> Iterator[Any]:
+    def _searching(self) -> Iterator[mi.FileResolver]:
         """Context in which relative names are resolved against the folder of the scene file."""
         mi = load_mitsuba()
         before = mi.file_resolver()
@@ -392,10 +382,10 @@ class SceneFile:
             reason = renderer_reason(error) or " ".join(str(error).split())
             raise LumitreeError(f"{self._name} cannot be loaded: {shown(reason, 400)}") from None
 
-    def _is_a(self, node: Any, kind: str) -> bool:
+    def _is_a(self, node: mi.parser.SceneNode, kind: str) -> bool:
         return node.type == getattr(self._types, kind)
 
-    def _is_group(self, node: Any) -> bool:
+    def _is_group(self, node: mi.parser.SceneNode) -> bool:
         return self._is_a(node, "Shape") and node.props.plugin_name() == "shapegroup"
 
 

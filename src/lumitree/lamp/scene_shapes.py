@@ -1,23 +1,19 @@
-"""The shapes of a scene as its file names them, and their first evaluation.
-
-Some plugins accept when they are created what they cannot evaluate: a bump map of a procedural
-texture, or a curve that emits. `check_evaluates` finds Mitsuba's exceptions. Nothing is compiled:
-the functions of the plugins run, and their results are dropped.
-"""
+"""The shapes of a scene as its file names them."""
 
 from __future__ import annotations
 
 import dataclasses
-import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.mitsuba_meshes import NORMALS, VERTICES
-from lumitree.errors import LumitreeError, LumitreeWarning, renderer_reason, shown
+from lumitree.errors import shown
 
 if TYPE_CHECKING:
     import mitsuba as mi
+
+    from lumitree.lamp.scene_file import SceneFile
 
 # Keys that Mitsuba gives to elements without a name begin so.
 _UNNAMED = "_arg_"
@@ -43,7 +39,6 @@ class SceneShape:
         materials: ids of its BSDF and of the BSDFs within it, as far as they have any.
         bsdf: plugin of its BSDF, and of the textures that this one names; empty if it has none.
         emitter: likewise.
-        attributes: names of the mesh attributes that its BSDF and its emitter use.
 
     A `mi.Scene` has classes in place of plugins.
     """
@@ -54,7 +49,6 @@ class SceneShape:
     materials: tuple[str, ...]
     bsdf: str
     emitter: str
-    attributes: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         material = f", BSDF {shown(self.materials[0], 40)}" if self.materials else ""
@@ -73,7 +67,7 @@ class SceneShape:
         return shown(repr(self.name), 60) if self.name else f"#{self.number} ({self.kind})"
 
 
-def shape_of_node(number: int, key: str, node: Any, file: Any) -> SceneShape:
+def shape_of_node(number: int, key: str, node: mi.parser.SceneNode, file: SceneFile) -> SceneShape:
     """The shape of a node of a `SceneFile`, before it is created.
 
     `key` is its key in the scene: the attribute `name`, or made by Mitsuba.
@@ -84,19 +78,10 @@ def shape_of_node(number: int, key: str, node: Any, file: Any) -> SceneShape:
         number=number,
         name=node.props.id() or ("" if key.startswith(_UNNAMED) else key),
         kind=node.props.plugin_name(),
-        materials=tuple(
-            each.props.id()
-            for each in file.within(node.props, "BSDF")
-            if each.type == types.BSDF and each.props.id()
-        ),
+        materials=tuple(i for each in file.bsdfs(node.props) if (i := each.props.id())),
         bsdf=", ".join(_described(file, each) for each in children if each.type == types.BSDF),
         emitter=", ".join(
             _described(file, each) for each in children if each.type == types.Emitter
-        ),
-        attributes=tuple(
-            str(each.props.get("name", ""))
-            for each in file.within(node.props, "BSDF", "Emitter")
-            if each.props.plugin_name() == "mesh_attribute"
         ),
     )
 
@@ -164,111 +149,13 @@ def shapes_of_scene(scene: mi.Scene, shapes: Sequence[SceneShape]) -> Sequence[S
     return [shape_of_object(*item) for item in enumerate(made)]
 
 
-def _described(file: Any, node: Any) -> str:
+def _described(file: SceneFile, node: mi.parser.SceneNode) -> str:
     textures = [
         child.props.plugin_name()
         for child in file.children(node.props).values()
         if child.type == load_mitsuba().ObjectType.Texture
     ]
     return node.props.plugin_name() + (f" with {', '.join(textures)}" if textures else "")
-
-
-def check_evaluates(
-    scene: mi.Scene, shapes: Sequence[SceneShape], where: str, *, rays: bool = True
-) -> None:
-    """Refuse a scene with a BSDF or an emitter that Mitsuba cannot evaluate to numbers.
-
-    Warns of mesh attributes that a shape lacks.
-
-    Args:
-        scene: mi.Scene.
-        shapes: of the file that the scene was made from.
-        where: name of the scene, for messages.
-        rays: whether rays are also sampled from emitters, as for light paths.
-
-    Raises:
-        LumitreeError: the message names the shape, the plugin, and Mitsuba's reason.
-    """
-    tried: dict[int, Any] = {}
-    described = shapes_of_scene(scene, shapes)
-    for shape, names in zip(scene.shapes(), described, strict=True):
-        bsdf, emitter = shape.bsdf(), shape.emitter()
-        if bsdf is not None and id(bsdf) not in tried:
-            what = f"the BSDF of shape {names.label}, {names.bsdf or bsdf.class_name()},"
-            _try(_bsdf_calls(bsdf, shape), f"{where}: {what}")
-            # Kept: another object could get the number of one that is freed.
-            tried[id(bsdf)] = bsdf
-        if emitter is not None:
-            what = f"the emitter of shape {names.label}, {names.emitter or emitter.class_name()},"
-            _try(_emitter_calls(emitter, shape, rays), f"{where}: {what}")
-        for name in names.attributes:
-            if not all(shape.has_attribute(name)):
-                warnings.warn(
-                    f"{where}: shape {names.label} has no attribute {shown(name, 60)!r}, which its "
-                    "BSDF or emitter uses; it is 0 there",
-                    LumitreeWarning,
-                    stacklevel=3,
-                )
-    for emitter in scene.emitters():
-        if emitter.get_shape() is None:
-            what = f"{where}: the emitter {emitter.id() or emitter.class_name()}"
-            _try(_emitter_calls(emitter, None, False), what)
-
-
-def _try(calls: Iterator[Callable[[], Any]], what: str) -> None:
-    for call in calls:
-        try:
-            call()
-        except RuntimeError as error:
-            reason = renderer_reason(error)
-            if reason is None:
-                raise
-            raise LumitreeError(
-                f"{what} cannot be evaluated by Mitsuba in {load_mitsuba().variant()}: "
-                f"{shown(reason, 300)}; replace it, or its texture or shape; images and colours as "
-                "textures, and meshes and spheres as shapes can be evaluated"
-            ) from error
-
-
-def _bsdf_calls(bsdf: mi.BSDF, shape: mi.Shape) -> Iterator[Callable[[], Any]]:
-    mi = load_mitsuba()
-    context, out = mi.BSDFContext(), mi.Vector3f(0, 0, 1)
-    si = _point(shape)
-    yield lambda: bsdf.eval(context, si, out)
-    yield lambda: bsdf.pdf(context, si, out)
-    yield lambda: bsdf.sample(context, si, mi.Float(0.5), mi.Point2f(0.5))
-    yield lambda: bsdf.eval_null_transmission(si)
-
-
-def _emitter_calls(
-    emitter: mi.Emitter, shape: mi.Shape | None, rays: bool
-) -> Iterator[Callable[[], Any]]:
-    # Not at the top: Dr.Jit looks for its library when it is imported.
-    import drjit as dr
-
-    mi = load_mitsuba()
-    si, seen_from = _point(shape), dr.zeros(mi.Interaction3f)
-    seen_from.p = mi.Point3f(1, 2, 3)
-    half = mi.Point2f(0.5)
-    yield lambda: emitter.eval(si)
-    yield lambda: emitter.sample_direction(seen_from, half)
-    yield lambda: emitter.pdf_direction(seen_from, dr.zeros(mi.DirectionSample3f))
-    if rays:
-        yield lambda: emitter.sample_ray(0, mi.Float(0.5), half, half)
-
-
-def _point(shape: mi.Shape | None) -> Any:
-    """A mi.SurfaceInteraction3f that is seen from the front."""
-    import drjit as dr
-
-    mi = load_mitsuba()
-    si = dr.zeros(mi.SurfaceInteraction3f)
-    si.wi, si.n = mi.Vector3f(0, 0, 1), mi.Normal3f(0, 0, 1)
-    si.sh_frame = mi.Frame3f(mi.Vector3f(0, 0, 1))
-    si.dp_du, si.dp_dv = mi.Vector3f(1, 0, 0), mi.Vector3f(0, 1, 0)
-    if shape is not None:
-        si.shape = mi.ShapePtr(shape)
-    return si
 
 
 def referred(props: mi.Properties) -> dict[str, int]:

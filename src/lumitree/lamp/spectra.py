@@ -28,13 +28,15 @@ from lumitree.errors import LumitreeError, shown, shown_names
 if TYPE_CHECKING:
     import mitsuba as mi
 
+    from lumitree.lamp.scene_file import SceneFile
+
 # With their defaults: K, and the range of wavelengths, nm.
 _PARAMETERS = {"temperature": None, "wavelength_min": 360.0, "wavelength_max": 830.0}
 # Wavelengths, nm, and values, both [N]; not checked.
 Samples = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
-def replace_blackbodies(file: Any) -> list[str]:
+def replace_blackbodies(file: SceneFile) -> list[str]:
     """Replace the black bodies of a `SceneFile`'s emitters by their radiance, W/(m² sr).
 
     Returns a note for each temperature, with the radiance.
@@ -49,7 +51,7 @@ def replace_blackbodies(file: Any) -> list[str]:
     return [f"{shown_names(dict.fromkeys(names))}: {line}" for line, names in notes.items()]
 
 
-def _replaced(file: Any, emitter: mi.Properties) -> Iterator[str]:
+def _replaced(file: SceneFile, emitter: mi.Properties) -> Iterator[str]:
     for name, node in file.children(emitter).items():
         if node.props.plugin_name() == "blackbody":
             body = blackbody_of(node.props)
@@ -86,7 +88,7 @@ def blackbody_of(props: mi.Properties) -> tuple[float, float, float]:
     return values[0], values[1], values[2]
 
 
-def spectra_of_emitters(file: Any) -> dict[str, Samples]:
+def spectra_of_emitters(file: SceneFile) -> dict[str, Samples]:
     """The spectra of a `SceneFile`'s surfaces that emit one, by the ids of their emitters.
 
     Emitters without an id of their own get one. Colours (RGB, textures, numbers) are no spectra.
@@ -105,7 +107,7 @@ def spectra_of_emitters(file: Any) -> dict[str, Samples]:
     return found
 
 
-def _samples(file: Any, emitter: mi.Properties) -> Samples | None:
+def _samples(file: SceneFile, emitter: mi.Properties) -> Samples | None:
     held = file.children(emitter).get("radiance")
     if held is None:
         return _listed(emitter, "radiance")

@@ -1,10 +1,12 @@
 """A luminaire as the geometry of an asset: its meshes and images as arrays, its BSDFs by name."""
 
+from __future__ import annotations
+
 import dataclasses
 from collections import defaultdict
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +46,9 @@ from lumitree.lamp.media import stored_medium
 from lumitree.lamp.meshes import area_normals
 from lumitree.lamp.scene_file import SceneFile
 
+if TYPE_CHECKING:
+    import mitsuba as mi
+
 # For all copies of instances; an asset has 36 bytes for each.
 _MAX_PRIMITIVES = 20_000_000
 _BITMAP = ("filename", "raw", "filter_type", "wrap_mode", "to_uv")
@@ -81,7 +86,7 @@ class _Reader:
         self._image_of: dict[tuple[Path, bool], int] = {}
         self._materials: list[Material] = []
 
-    def read(self, shapes: list[Any], origin: NDArray[np.float64]) -> AssetGeometry:
+    def read(self, shapes: list[mi.Shape], origin: NDArray[np.float64]) -> AssetGeometry:
         nodes = self._file.nodes("Shape")
         names = [shown(node.props.id() or node.props.plugin_name(), 60) for node in nodes]
         described = []
@@ -114,7 +119,7 @@ class _Reader:
                     others.append(_unit_shape(plugin, shape, properties))
         return _joined(meshes, others, self._images, self._materials, origin)
 
-    def _describe(self, props: Any) -> Shape:
+    def _describe(self, props: mi.Properties) -> Shape:
         """Properties of a shape besides its form and its media."""
         radiance: Radiance | None = None
         material: Material | None = None
@@ -137,7 +142,7 @@ class _Reader:
             flipped=bool(props.get("flip_normals", False)),
         )
 
-    def _radiance(self, props: Any) -> Radiance:
+    def _radiance(self, props: mi.Properties) -> Radiance:
         if props.plugin_name() != "area":
             raise LumitreeError(f"an emitter {props.plugin_name()!r} is not stored; expected area")
         values, _ = self._values(props)
@@ -147,14 +152,16 @@ class _Reader:
         check_radiance(radiance, self._facts)
         return radiance
 
-    def _material(self, props: Any, nesting: int = 1) -> Material:
+    def _material(self, props: mi.Properties, nesting: int = 1) -> Material:
         # Refused here already: materials may share a nested one in very many ways.
         if nesting > MAX_NESTING:
             raise LumitreeError(f"materials are nested more than {MAX_NESTING} deep")
         values, nested = self._values(props, nesting)
         return make_material(props.plugin_name(), values, nested)
 
-    def _values(self, props: Any, nesting: int = 1) -> tuple[dict[str, Parameter], list[Material]]:
+    def _values(
+        self, props: mi.Properties, nesting: int = 1
+    ) -> tuple[dict[str, Parameter], list[Material]]:
         """Parameters of a plugin, and its nested materials."""
         mi = load_mitsuba()
         values: dict[str, Parameter] = {}
@@ -175,7 +182,7 @@ class _Reader:
                 raise LumitreeError(f"{props.plugin_name()} holds an object that is not stored")
         return values, nested
 
-    def _texture(self, props: Any) -> Texture | VertexColours:
+    def _texture(self, props: mi.Properties) -> Texture | VertexColours:
         plugin = props.plugin_name()
         attribute = plugin == "mesh_attribute"
         if not attribute and (plugin != "bitmap" or "filename" not in props):
@@ -218,7 +225,7 @@ class _Reader:
         return self._image_of[key]
 
 
-def _plain(name: str, value: Any) -> Parameter:
+def _plain(name: str, value: object) -> Parameter:
     if isinstance(value, bool | int | float | str):
         return value
     numbers = np.ravel(np.array(value, np.float64))
@@ -228,7 +235,7 @@ def _plain(name: str, value: Any) -> Parameter:
     return (red, green, blue)
 
 
-def _colour(props: Any, name: str) -> Parameter:
+def _colour(props: mi.Properties, name: str) -> Parameter:
     """A spectrum as the RGB, or the number, that RGB variants of Mitsuba take it for."""
     # Values that may exceed 1, and values that are light.
     if name == "radiance":
@@ -241,7 +248,7 @@ def _colour(props: Any, name: str) -> Parameter:
     return (value[0], value[1], value[2]) if len(value) == 3 else value[0]
 
 
-def _media(shape: Any) -> dict[str, Medium]:
+def _media(shape: mi.Shape) -> dict[str, Medium]:
     """Media inside and outside of a mi.Shape, by the names of `Shape`."""
     found = {"interior": shape.interior_medium(), "exterior": shape.exterior_medium()}
     return {side: stored_medium(medium) for side, medium in found.items() if medium is not None}
@@ -257,7 +264,7 @@ def _turn(mesh: MeshArrays) -> None:
             mesh["normals"] = -mesh["normals"]
 
 
-def _unit_shape(plugin: str, shape: Any, properties: Shape) -> UnitShape:
+def _unit_shape(plugin: str, shape: mi.Shape, properties: Shape) -> UnitShape:
     if plugin not in UNIT_SHAPES:
         raise LumitreeError(f"a {plugin} is not stored")
     to_world = rows_of(load_mitsuba().traverse(shape)["to_world"].matrix)
@@ -275,7 +282,7 @@ def _joined(
     origin: NDArray[np.float64],
 ) -> AssetGeometry:
     shapes: list[Shape] = []
-    arrays: dict[str, list[NDArray[Any]]] = {name: [] for name in ARRAYS}
+    arrays: dict[str, list[NDArray[np.generic]]] = {name: [] for name in ARRAYS}
     for group in meshes.values():
         properties, names = group[0][0], group[0][1].keys()
         first = 0

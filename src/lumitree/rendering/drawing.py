@@ -21,7 +21,7 @@ from matplotlib.ticker import LogFormatter
 from numpy.typing import NDArray
 
 from lumitree.core.files import write_bytes
-from lumitree.rendering.photograph import PhotoSettings
+from lumitree.rendering.photograph import Highlights, PhotoSettings
 
 _DPI = 100
 # Pixels: margin, gap between images, height of a colour bar with its numbers.
@@ -86,6 +86,14 @@ class ColourScale:
 
 
 OPACITY = ColourScale(Normalize(0, 1), "gray", "opacity")
+
+
+class Panel(NamedTuple):
+    """Caption (one or two lines), radiance [H, W, 3] and highlights of an image of a strip."""
+
+    caption: str
+    radiance: NDArray[np.floating]
+    highlights: Highlights | None = None
 
 
 class Tile(NamedTuple):
@@ -162,7 +170,7 @@ def image_grid(
 
 def write_strip(
     path: str | os.PathLike[str],
-    images: list[tuple[str, NDArray[np.floating]]],
+    images: Sequence[Panel],
     settings: PhotoSettings,
     comment: str = "",
     *,
@@ -171,15 +179,14 @@ def write_strip(
     """Write images [H, W, 3] of linear radiance and equal size side by side as one PNG.
 
     Args:
-        images: caption (one or two lines) and radiance of each image.
         settings: of all photographs, by the first image where they are automatic.
         comment: what made the images, stored in the file; may be empty.
         columns: images in a row. Default: all.
     """
-    first = images[0][1]
+    first = images[0].radiance
     tiles = [
-        Tile(settings.photograph(radiance, metered=first).pixels, caption)
-        for caption, radiance in images
+        Tile(settings.photograph(radiance, metered=first, highlights=highlights).pixels, caption)
+        for caption, radiance, highlights in images
     ]
     columns = columns or len(tiles)
     rows = [tiles[at : at + columns] for at in range(0, len(tiles), columns)]

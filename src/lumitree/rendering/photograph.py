@@ -74,17 +74,17 @@ class Highlights:
     seen: NDArray[np.floating]
     square: NDArray[np.floating]
 
-    def divide(self, most: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def divide(self, most: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Light [H, W, 3] of emitters of more than `most`, W/(m² sr), and the same clamped.
 
         A pixel that an emitter covers to a share p has the mean pL and the mean square pL² of its
         radiance L. For emitters of several radiances p is the share of the brighter ones.
         """
-        seen = np.nan_to_num(np.asarray(self.seen, np.float64), posinf=0.0, neginf=0.0)
-        grey = seen.mean(axis=-1)
+        grey = np.asarray(self.seen, np.float32).mean(axis=-1)
         level = np.divide(self.square, grey, out=np.zeros_like(grey), where=grey > 0)
-        bright = np.where((level > most)[..., None], seen, 0.0)
-        clamped = bright * (most / np.maximum(level, most))[..., None]
+        beyond = (level > most) & np.isfinite(level)
+        bright = np.where(beyond[..., None], self.seen, np.float32(0))
+        clamped = bright * (most / np.maximum(level, most)).astype(np.float32)[..., None]
         return bright, clamped
 
 
@@ -159,7 +159,7 @@ class PhotoSettings:
         light = None if self.white_balance == "off" else self._light(metered, albedo)
         scaled = bloomed(_resolved(radiance, highlights, white_radiance(ev)), self.bloom)
         if light is not None:
-            scaled = scaled @ light.adaptation().T
+            scaled = scaled @ light.adaptation().T.astype(np.float32)
         kelvin = None if light is None else light.temperature
         return Photograph(displayed(scaled, self.view), ev, kelvin)
 
@@ -280,7 +280,7 @@ def light_on_scene(
     return Light(xyz / xyz[1], temperature, degree)
 
 
-def bloomed(image: NDArray[np.float64], share: float) -> NDArray[np.float64]:
+def bloomed(image: NDArray[np.float32], share: float) -> NDArray[np.float32]:
     """An image [H, W, 3] of which a share of the light is scattered, as in a lens or an eye.
 
     Light that would leave the image is reflected at its edges, so that none is lost.
@@ -290,23 +290,26 @@ def bloomed(image: NDArray[np.float64], share: float) -> NDArray[np.float64]:
     height, width = image.shape[:2]
     diagonal = math.hypot(height, width)
     squares = np.add.outer((np.arange(height) / height) ** 2, (np.arange(width) / width) ** 2)
-    kept = np.full((height, width), 1 - share)
+    squares = squares.astype(np.float32)
+    kept = np.full((height, width), 1 - share, np.float32)
     for deviation, weight in _BLOOM:
         kept += share * weight * np.exp(-0.5 * (np.pi * deviation * diagonal) ** 2 * squares)
-    spectrum = fft.dctn(image, axes=(0, 1), norm="ortho")
+    spectrum: Any = fft.dctn(image, axes=(0, 1), norm="ortho")
     shown: Any = fft.idctn(spectrum * kept[..., None], axes=(0, 1), norm="ortho")
     return np.maximum(shown, 0)
 
 
 def _resolved(
     radiance: NDArray[np.floating], highlights: Highlights | None, white: float
-) -> NDArray[np.float64]:
+) -> NDArray[np.float32]:
     """Radiance relative to white, clamped to a few times white; see the docstring of the module."""
-    image = np.nan_to_num(np.asarray(radiance, np.float64), posinf=_MOST * white, neginf=0.0)
+    image = np.nan_to_num(radiance / white, posinf=_MOST, neginf=0.0).astype(np.float32)
     if highlights is not None:
         bright, clamped = highlights.divide(_MOST * white)
-        image += gaussian_filter(clamped, (_FILTER, _FILTER, 0), mode="nearest") - bright
-    image = np.maximum(image / white, 0)
+        if bright.any():
+            filtered = gaussian_filter(clamped, (_FILTER, _FILTER, 0), mode="nearest")
+            image += (filtered - bright) / white
+    image = np.maximum(image, 0)
     return image * (_MOST / np.maximum(image.max(axis=-1, keepdims=True), _MOST))
 
 

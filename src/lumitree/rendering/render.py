@@ -23,7 +23,7 @@ from lumitree.core.results import Stopwatch
 from lumitree.core.seeds import check_seed
 from lumitree.errors import LumitreeError, explained
 from lumitree.rendering.image import SavedImage
-from lumitree.rendering.photograph import PhotoSettings
+from lumitree.rendering.photograph import Highlights, PhotoSettings
 from lumitree.rendering.placement import Placement
 from lumitree.rendering.render_job import Described, RenderJob, renderer_of
 from lumitree.rendering.view_transform import View
@@ -64,6 +64,8 @@ class RenderResult(SavedImage):
             specular, times the throughput up to it; None without `layers`, `aov` and `denoise`.
         normals: float32 [height, width, 3], shading normal of this surface in the frame of the
             scene; None as `albedo`.
+        highlights: light of emitters that the camera sees, a part of `pixels`; None in spectral
+            variants and for integrators other than `lumitree_path`.
         camera: where the camera stands and looks; None if it is not a perspective one, or its
             axis is not at the centre of the image.
     """
@@ -76,6 +78,7 @@ class RenderResult(SavedImage):
     noisy: NDArray[np.float32] | None = dataclasses.field(default=None, repr=False)
     albedo: NDArray[np.float32] | None = dataclasses.field(default=None, repr=False)
     normals: NDArray[np.float32] | None = dataclasses.field(default=None, repr=False)
+    highlights: Highlights | None = dataclasses.field(default=None, repr=False)
     camera: "CameraView | None" = dataclasses.field(default=None, repr=False)
 
     @explained
@@ -224,9 +227,8 @@ def render(
     def result(
         rendering: "Rendering", pixels: NDArray[np.float32], filtered: bool, **parts: Any
     ) -> RenderResult:
-        photograph = settings.photograph(
-            pixels, albedo=parts.get("albedo"), highlights=job.highlights(rendering)
-        )
+        highlights = job.highlights(rendering)
+        photograph = settings.photograph(pixels, albedo=parts.get("albedo"), highlights=highlights)
         comment = image_settings(
             "render",
             scene=Path(scene).name if isinstance(scene, str | os.PathLike) else None,
@@ -250,6 +252,7 @@ def render(
             spp=rendering.spp,
             noise=rendering.noise,
             mean_radiance=float(pixels.mean()),
+            highlights=highlights,
             camera=job.camera,
             png=encode_png(photograph.pixels, comment),
             **parts,

@@ -20,7 +20,7 @@ from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.lamp.luminaire import Luminaire, LuminaireLike, load_luminaire
 from lumitree.lamp.media import any_heterogeneous
 from lumitree.lamp.scene_file import SceneFile
-from lumitree.lamp.scene_shapes import SceneShape, check_evaluates, reusable_shapes, shapes_of_scene
+from lumitree.lamp.scene_shapes import SceneShape, reusable_shapes, shapes_of_scene
 from lumitree.lamp.source import LuminaireSource
 from lumitree.rendering.asset_cache import asset_of
 from lumitree.rendering.asset_flux import asset_watts, factors_to
@@ -234,9 +234,8 @@ def load_scene(
         width: of the film, pixels; its proportions stay. Default: the scene's.
 
     Raises:
-        LumitreeError: the scene cannot be loaded or has no camera, Mitsuba cannot evaluate one
-            of its BSDFs or emitters, or its film is created already and cannot be changed, or
-            stores no R, G and B.
+        LumitreeError: the scene cannot be loaded or has no camera, or its film is created already
+            and cannot be changed, or stores no R, G and B.
     """
     title = scene_title(source)
     scene, described, _ = _open(source, title, box_filter=box_filter)
@@ -343,11 +342,8 @@ def _open(
     """Scene, and, if they are known, properties of its integrator and its shapes."""
     register()  # the scene may name our plugins itself
     if isinstance(source, mi.Scene):
-        scene, described, shapes = source, None, ()
-    else:
-        scene, described, shapes = _create(source, title, box_filter=box_filter)
-    check_evaluates(scene, shapes, title, rays=False)
-    return scene, described, shapes
+        return source, None, ()
+    return _create(source, title, box_filter=box_filter)
 
 
 def scene_title(source: SceneSource) -> str:

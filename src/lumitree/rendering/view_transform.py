@@ -44,6 +44,8 @@ _SLOPE, _TOE, _SHOULDER = 2.0, 3.0, 3.25
 _GAMMA = 2.2
 # Beyond it everything is white.
 _MOST = 1e6
+# Entries of the table of the curve.
+_LEVELS = 4097
 
 
 class Look(NamedTuple):
@@ -63,17 +65,24 @@ def displayed(linear: NDArray[np.floating], view: View) -> NDArray[np.uint8]:
     return np.round(srgb_from_linear(agx(linear)) * 255).astype(np.uint8)
 
 
-def agx(linear: NDArray[np.floating], look: Look = PUNCHY) -> NDArray[np.float64]:
+def agx(linear: NDArray[np.floating], look: Look = PUNCHY) -> NDArray[np.float32]:
     """Linear sRGB [..., 3] in [0, 1] that AgX shows of linear sRGB [..., 3]."""
+    # Single precision and a table of the curve take half the time.
     colours = np.nan_to_num(linear, posinf=_MOST, neginf=0.0).clip(-_MOST, _MOST)
-    colours = colours.astype(np.float64) @ (_INSET @ _REC2020_FROM_SRGB).T
+    colours = _product(colours.astype(np.float32), _INSET @ _REC2020_FROM_SRGB)
     low, high = _STOPS
-    stops = np.log2(np.maximum(colours, 1e-10) / _GREY)
-    curved = np.maximum(_curve(np.clip((stops - low) / (high - low), 0, 1)), 0) ** look.power
-    grey = (curved @ np.array(LUMA))[..., None]
-    shown = (grey + look.saturation * (curved - grey)) @ _OUTSET.T
-    decoded = np.maximum(shown, 0) ** _GAMMA
-    return np.clip(decoded @ np.linalg.inv(_REC2020_FROM_SRGB).T, 0, 1)
+    stops = np.log2(np.maximum(colours, np.float32(1e-10)) / np.float32(_GREY))
+    levels = np.linspace(0, 1, _LEVELS)
+    curved = np.interp((stops - low) / (high - low), levels, _curve(levels) ** look.power)
+    grey = np.outer(np.ones(3), LUMA)
+    saturated = _OUTSET @ (grey + look.saturation * (np.eye(3) - grey))
+    decoded = np.maximum(_product(curved.astype(np.float32), saturated), 0) ** np.float32(_GAMMA)
+    return np.clip(_product(decoded, np.linalg.inv(_REC2020_FROM_SRGB)), 0, 1)
+
+
+def _product(colours: NDArray[np.float32], matrix: NDArray[np.float64]) -> NDArray[np.float32]:
+    """A matrix times colours [..., 3]."""
+    return colours @ matrix.T.astype(np.float32)
 
 
 def _curve(level: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -85,4 +94,4 @@ def _curve(level: NDArray[np.float64]) -> NDArray[np.float64]:
     # The scales for which the ends are 0 and 1.
     reach = np.where(offset < 0, middle, 1 - middle)
     bend = ((2 * _SLOPE * reach) ** power - 1) * (np.abs(offset) / reach) ** power
-    return 0.5 + _SLOPE * offset * (1 + bend) ** (-1 / power)
+    return np.clip(0.5 + _SLOPE * offset * (1 + bend) ** (-1 / power), 0, 1)
