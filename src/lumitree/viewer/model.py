@@ -120,7 +120,7 @@ def _unlit(asset: Asset) -> Asset:
 def _sent_out(
     asset: Asset,
     vertices: NDArray[np.float32],
-    pattern: NDArray[np.float32],
+    pattern: NDArray[np.floating],
     fronts: NDArray[np.integer],
     backs: NDArray[np.integer],
     lights: Mapping[str, Any] | None = None,
