@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from lumitree._version import __version__
 from lumitree.core.files import WriteError, atomic_path
+from lumitree.core.interruption import STATE_IS_KEPT
 from lumitree.core.reading import parse_json, read_arrays
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 
@@ -70,6 +71,7 @@ class Checkpoint:
                 f"{shown(self._path.parent, 300)} has an unfinished {self._job} with other inputs "
                 f"({', '.join(changed[:_NAMED])}{more}); remove it, or choose another folder"
             )
+        STATE_IS_KEPT.set()
         return arrays
 
     def save(self, arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -82,6 +84,7 @@ class Checkpoint:
         text = np.array(json.dumps(self._fingerprint, sort_keys=True))
         with atomic_path(self._path) as temporary, open(temporary, "wb") as file:
             np.savez(file, **{_FINGERPRINT: text, **arrays})  # type: ignore[arg-type]
+        STATE_IS_KEPT.set()
         now = time.monotonic()
         self._next = now + max(_SECONDS, (now - start) / _MOST_TIME)
 
@@ -119,6 +122,8 @@ def read_checkpoint(path: Path) -> tuple[dict[str, Any], Arrays]:
         if _FINGERPRINT not in arrays:
             raise LumitreeError(f"{shown(path, 300)} is no checkpoint of lumitree")
         fingerprint = parse_json(str(arrays.pop(_FINGERPRINT)))
+        if not isinstance(fingerprint, dict):
+            raise LumitreeError(f"{shown(path, 300)} has no inputs of a job")
     except LumitreeError as error:
         raise LumitreeError(f"{error}; remove it to start again") from None
     return fingerprint, arrays
