@@ -1,6 +1,6 @@
 """Files appear whole or not at all; folders that lumitree owns, and files that it never deletes."""
 
-# pyright: reportPossiblyUnbound=false
+# pyright: reportPossiblyUnboundVariable=false
 import contextlib
 import errno
 import fcntl

@@ -421,7 +421,8 @@ def _render(given: Given) -> Any:
         forget_passes(kept["work"])
     if glare:
         files["glare"] = _glare(given, places, result)
-    return image_report(result, output) | files
+    layers = {"layers": sorted(result.layers) or None, "layers_file": files.pop("layers")}
+    return image_report(result, output) | layers | files
 
 
 def _glare(given: Given, places: list[Any], result: Any) -> Given:
