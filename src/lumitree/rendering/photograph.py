@@ -1,7 +1,8 @@
 """Photographs: what a camera with exposure and white balance makes of an image's radiance.
 
-Exposure is EV100: white on the display is a luminance of 1.2 x 2^EV cd/m², as for a camera that is
-calibrated by ISO 2720. White balance is a chromatic adaptation by CAT16 (CIE 248:2022).
+Exposure is EV100: white on the display is a luminance of 1.2 x 2^EV cd/m², as for a camera whose
+sensor is rated by its saturation (ISO 12232). White balance is a chromatic adaptation by CAT16
+(CIE 248:2022).
 
 Filaments are up to 1,000 times as bright as white, and the edge of one would be a staircase
 whatever the reconstruction filter. So emitters that are seen are clamped to a few times white
@@ -35,7 +36,7 @@ from lumitree.rendering.view_transform import VIEWS, View, displayed
 # Log-average luminance of the scene relative to white. Side in pixels of the blocks over which it
 # is averaged: the logarithm of single pixels would measure their noise. Share of the blocks that is
 # at most so many times as bright as white.
-_KEY, _BLOCK, _BRIGHTEST = 0.36, 8, (0.95, 4.0)
+_KEY, _BLOCK, _BRIGHTEST = 0.36, 8, (0.95, 3.0)
 # Stops above and below the median block beyond which a block is no part of the scene: lamps and
 # windows, and openings into the dark.
 _ABOVE, _BELOW = 4.0, 7.0
@@ -52,7 +53,7 @@ _LEAST_ALBEDO, _POWER = 0.05, 4
 # brighter, pixels.
 _MOST, _FILTER = 16.0, 0.5
 # Bloom: standard deviations of Gaussians as parts of the image's diagonal, and their weights.
-_BLOOM = ((0.003, 0.5), (0.012, 0.3), (0.05, 0.2))
+_BLOOM = ((0.003, 0.5), (0.012, 0.35), (0.04, 0.15))
 _CAT16 = np.array(
     [
         [0.401288, 0.650173, -0.051461],
