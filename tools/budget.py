@@ -24,7 +24,7 @@ LINES = {
     "formats": 4_100,
     "lamp": 10_500,
     "many": 600,
-    "measure": 5_120,
+    "measure": 5_150,
     "octree": 1_050,
     "rendering": 9_420,
     "trace": 1_900,
