@@ -9,15 +9,14 @@ often alike, so that planes of high bytes are mostly zero.
 
 import math
 import zlib
-from collections.abc import Iterable, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Iterable
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
+from lumitree.core.reading import Arrays
 from lumitree.errors import LumitreeError
-
-Arrays = dict[str, NDArray[Any]]
 
 # For all arrays of a stream together.
 MAX_BYTES = 1 << 31
@@ -28,12 +27,12 @@ class Layout(NamedTuple):
     """Name, type and shape of an array of a stream, and whether it is written in planes."""
 
     name: str
-    dtype: Any
+    dtype: DTypeLike
     shape: tuple[int, ...]
     planes: bool = False
 
 
-def compressed(arrays: Mapping[str, NDArray[Any]], layouts: Iterable[Layout]) -> NDArray[np.uint8]:
+def compressed(arrays: Arrays, layouts: Iterable[Layout]) -> NDArray[np.uint8]:
     """The stream [bytes] of arrays, in the order of their layouts."""
     compressor, parts = zlib.compressobj(_LEVEL), []
     for layout in layouts:
@@ -75,7 +74,7 @@ def inflated(content: bytes, size: int, what: str) -> bytes:
     return found
 
 
-def _planes(array: NDArray[Any]) -> bytes:
+def _planes(array: NDArray[np.generic]) -> bytes:
     """Bytes of an array [rows, ...] in planes."""
     if not array.size:
         return b""
@@ -90,7 +89,7 @@ def _planes(array: NDArray[Any]) -> bytes:
     return columns.view(np.uint8).reshape(*columns.shape, -1).transpose(0, 2, 1).tobytes()
 
 
-def _of_planes(content: bytes, dtype: Any, shape: tuple[int, ...]) -> NDArray[Any]:
+def _of_planes(content: bytes, dtype: np.dtype, shape: tuple[int, ...]) -> NDArray[np.generic]:
     """The array of a type and shape; the inverse of `_planes`."""
     if not content:
         return np.zeros(shape, dtype)

@@ -10,7 +10,7 @@ Symbols
 import dataclasses
 import functools
 from collections.abc import Sequence
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ from lumitree.asset.materials import (
 )
 from lumitree.core.frames import LocalFrame, Matrix, rows_of, similarity
 from lumitree.core.photometry import RGB
-from lumitree.core.reading import expect, expect_arrays, naming, require
+from lumitree.core.reading import Arrays, expect, expect_arrays, naming, require
 from lumitree.core.tables import object_of
 from lumitree.errors import LumitreeError, shown
 
@@ -56,7 +56,7 @@ ARRAYS: dict[str, tuple[type[np.generic], int]] = {
     "faces": (np.uint32, 3),
 }
 # Arrays of a mesh by these names, [N, width] each.
-MeshArrays = dict[str, NDArray[Any]]
+MeshArrays = Arrays
 
 
 @dataclasses.dataclass(frozen=True)

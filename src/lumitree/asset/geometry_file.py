@@ -9,7 +9,7 @@ import dataclasses
 import json
 import math
 import zlib
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +42,10 @@ GEOMETRY_TENSORS = {GEOMETRY_SHAPES: "U8", "geometry.stream": "U8", "geometry.im
 _MAX_ROWS = 1 << 28
 # Largest JSON text; a shape takes about 200 bytes.
 _MAX_TEXT = 1 << 24
-_PIXELS: dict[str, np.dtype[Any]] = {"uint8": np.dtype(np.uint8), "float32": np.dtype("<f4")}
+_PIXELS: dict[str, np.dtype] = {
+    "uint8": np.dtype(np.uint8),
+    "float32": np.dtype("<f4"),
+}
 _SIDES = ("interior", "exterior")
 _Count = Annotated[int, Range(0, _MAX_ROWS)]
 _Side = Annotated[int, Range(1, MAX_IMAGE_SIDE)]
@@ -106,7 +109,7 @@ def build_geometry(tensors: Arrays) -> AssetGeometry:
     )
 
 
-def _written(value: object) -> Any:
+def _written(value: object) -> object:
     """A shape, a material or a part of one as JSON, of which `_Description` is made again."""
     match value:
         case Material():
@@ -123,7 +126,7 @@ def _written(value: object) -> Any:
             return value
 
 
-def _members(value: Shape | Medium | Texture | VertexColours) -> dict[str, Any]:
+def _members(value: Shape | Medium | Texture | VertexColours) -> dict[str, object]:
     """Members of an object; shapes without a medium have no key of it."""
     found = {name: _written(each) for name, each in vars(value).items()}
     return {name: each for name, each in found.items() if each is not None or name not in _SIDES}

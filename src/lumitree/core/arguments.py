@@ -3,9 +3,9 @@
 import os
 from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from lumitree.core.files import check_writable
 from lumitree.errors import LumitreeError, shown
@@ -73,7 +73,7 @@ def check_choices(name: str, values: Collection[str], choices: Collection[str]) 
         check_choice(name, value, choices)
 
 
-def check_gain(value: Any) -> tuple[float, float, float]:
+def check_gain(value: ArrayLike) -> tuple[float, float, float]:
     """Factors on the R, G and B of a lamp's light, from one number for all or from three.
 
     Args:

@@ -8,19 +8,17 @@ depends on. Equal seeds then give equal bytes after an interruption as without o
 import json
 import time
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lumitree._version import __version__
 from lumitree.core.files import WriteError, atomic_path
-from lumitree.core.reading import parse_json, read_arrays
+from lumitree.core.reading import Arrays, parse_json, read_arrays
+from lumitree.core.tables import Table, check_table
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 
-Arrays = dict[str, NDArray[Any]]
 # Files of all checkpoints in a work folder: of light field, octree fit, network and image.
 CHECKPOINTS = ("light.npz", "octree.npz", "run/run.npz", "passes.npz")
 # Name of the fingerprint among the arrays.
@@ -44,7 +42,7 @@ class Checkpoint:
         job: name of the kind of job, for messages, such as "bake".
     """
 
-    def __init__(self, path: Path, fingerprint: Mapping[str, Any], job: str) -> None:
+    def __init__(self, path: Path, fingerprint: Table, job: str) -> None:
         self._path, self._job = path, job
         self._fingerprint = parse_json(json.dumps({"lumitree": __version__, **fingerprint}))
         self._next, self._warned = time.monotonic() + _SECONDS, False
@@ -72,7 +70,7 @@ class Checkpoint:
             )
         return arrays
 
-    def save(self, arrays: Mapping[str, NDArray[Any]]) -> None:
+    def save(self, arrays: Arrays) -> None:
         """Write the arrays.
 
         Raises:
@@ -85,7 +83,7 @@ class Checkpoint:
         now = time.monotonic()
         self._next = now + max(_SECONDS, (now - start) / _MOST_TIME)
 
-    def try_save(self, arrays: Mapping[str, NDArray[Any]]) -> None:
+    def try_save(self, arrays: Arrays) -> None:
         """As `save`, but warns, once, where that fails: the job itself can go on."""
         try:
             self.save(arrays)
@@ -102,13 +100,13 @@ class Checkpoint:
                     stacklevel=2,
                 )
 
-    def offer(self, arrays: Callable[[], Mapping[str, NDArray[Any]]]) -> None:
+    def offer(self, arrays: Callable[[], Arrays]) -> None:
         """`try_save` the arrays that a function returns, if that was not done for a while."""
         if time.monotonic() >= self._next:
             self.try_save(arrays())
 
 
-def read_checkpoint(path: Path) -> tuple[dict[str, Any], Arrays]:
+def read_checkpoint(path: Path) -> tuple[Table, Arrays]:
     """The fingerprint and the arrays of a checkpoint of any job.
 
     Raises:
@@ -118,13 +116,13 @@ def read_checkpoint(path: Path) -> tuple[dict[str, Any], Arrays]:
         arrays = read_arrays(path)
         if _FINGERPRINT not in arrays:
             raise LumitreeError(f"{shown(path, 300)} is no checkpoint of lumitree")
-        fingerprint = parse_json(str(arrays.pop(_FINGERPRINT)))
+        fingerprint = check_table(parse_json(str(arrays.pop(_FINGERPRINT))))
     except LumitreeError as error:
         raise LumitreeError(f"{error}; remove it to start again") from None
     return fingerprint, arrays
 
 
-def _differences(found: Any, wanted: Any, name: str = "") -> Any:
+def _differences(found: object, wanted: object, name: str = "") -> Iterator[str]:
     """Texts that name the members in which two JSON values differ."""
     if isinstance(found, dict) and isinstance(wanted, dict):
         for key in sorted({*found, *wanted}):

@@ -7,21 +7,25 @@ Dr.Jit is imported when it is used. Modules that import this one are imported be
 import threading
 import weakref
 from collections.abc import Callable, Hashable, Iterable
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+if TYPE_CHECKING:
+    import mitsuba as mi
 
 # Dr.Jit may read this many values beyond an array's end: a packet of the widest vector unit.
 _PACKET = 64
 # Bytes. Dr.Jit compiles a different kernel for unaligned arrays, and NumPy aligns only some.
 _ALIGNMENT = 64
 
+T = TypeVar("T")
 _LOCK = threading.Lock()
-_SHARED: weakref.WeakKeyDictionary[Any, dict[Hashable, Any]] = weakref.WeakKeyDictionary()
+_SHARED: weakref.WeakKeyDictionary[object, dict[Hashable, Any]] = weakref.WeakKeyDictionary()
 
 
-def shared(owner: Any, key: Hashable, make: Callable[[], Any]) -> Any:
+def shared(owner: object, key: Hashable, make: Callable[[], T]) -> T:
     """Device data of an owner, such as an asset: made on first use in the variant that is set.
 
     It lives as long as the owner, to which it must not refer.
@@ -42,7 +46,7 @@ def shared(owner: Any, key: Hashable, make: Callable[[], Any]) -> Any:
     return known[key]
 
 
-def parameter(kind: Any, *values: float) -> Any:
+def parameter(kind: Callable[..., T], *values: float) -> T:
     """Small device array of the numbers given, which kernels read from memory.
 
     Lamps whose numbers are parameters share one kernel. A number in the code of a kernel would make
@@ -59,7 +63,7 @@ def parameter(kind: Any, *values: float) -> Any:
     return result
 
 
-def transforms_as_parameters(shapes: Iterable[Any]) -> None:
+def transforms_as_parameters(shapes: "Iterable[mi.Shape]") -> None:
     """Let kernels read the transforms of rectangles (of some mi.Shape) from memory.
 
     Mitsuba 3.9 does so for all other shapes, see `parameter`.
@@ -75,7 +79,7 @@ def transforms_as_parameters(shapes: Iterable[Any]) -> None:
             values.update()
 
 
-def on_device(kind: Any, values: ArrayLike) -> Any:
+def on_device(kind: Callable[..., T], values: ArrayLike) -> T:
     """Device array of a copy of some values, converted.
 
     Dr.Jit 1.5 reads NumPy arrays without copying them, and in whole packets, so it also reads
@@ -99,7 +103,7 @@ def on_device(kind: Any, values: ArrayLike) -> Any:
     return kind(*(component(_padded(column, component)) for column in columns.T))
 
 
-def _padded(values: NDArray[Any], kind: Any) -> NDArray[Any]:
+def _padded(values: NDArray[np.generic], kind: object) -> NDArray[np.generic]:
     """An aligned copy, followed by memory that may be read."""
     import drjit as dr
 

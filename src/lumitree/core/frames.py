@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lumitree.core.tables import Table, converted, shown_value
+from lumitree.core.tables import Table, check_table, converted
 from lumitree.errors import LumitreeError
 
 if TYPE_CHECKING:
@@ -299,8 +299,7 @@ class _Members:
 
 def with_frame(table: object, name: str) -> Table:
     """The table of a file with its local frame as one member, in place of `FRAME_KEYS`."""
-    if not isinstance(table, dict):
-        raise LumitreeError(f"it is {shown_value(table)}; expected a table")
+    table = check_table(table)
     given = converted({key: table[key] for key in FRAME_KEYS if key in table}, _Members)
     frame = LocalFrame(np.array(given.half_extents), np.array(given.world_from_proxy))
     return {key: table[key] for key in table if key not in FRAME_KEYS} | {name: frame}

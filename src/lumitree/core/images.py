@@ -191,7 +191,7 @@ def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())
 
 
-def image_settings(command: str, **settings: Any) -> str:
+def image_settings(command: str, **settings: object) -> str:
     """JSON text for the comment of an image: the command, the version of lumitree, and settings.
 
     Args:

@@ -16,13 +16,19 @@ Mitsuba 3.10 replaces `mi.Mesh`. This is what changes here (its release notes ha
   `SceneFile.mirrored` and what depends on it can be deleted.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lumitree.core.device import on_device
+from lumitree.core.reading import Arrays
+
+if TYPE_CHECKING:
+    import mitsuba as mi
 
 # The mesh attribute of vertex colours.
 VERTEX_COLOUR = "vertex_color"
@@ -36,12 +42,14 @@ _BUFFERS = {
 }
 
 
-def make_mesh(name: str, arrays: Mapping[str, ArrayLike | None], props: Any = None) -> Any:
-    """A mi.Mesh of some arrays; those that are None or empty count as absent.
+def make_mesh(
+    name: str, arrays: Mapping[str, ArrayLike | None], props: mi.Properties | None = None
+) -> mi.Mesh:
+    """A mesh of some arrays; those that are None or empty count as absent.
 
     Args:
         name: its id, if `props` has none.
-        props: mi.Properties, with BSDF, emitter and media as objects. Default: diffuse.
+        props: with BSDF, emitter and media as objects. Default: diffuse.
     """
     import mitsuba as mi
 
@@ -61,7 +69,7 @@ def make_mesh(name: str, arrays: Mapping[str, ArrayLike | None], props: Any = No
     return mesh
 
 
-def copy_mesh(copy: Any, mesh: Any, props: Any) -> None:
+def copy_mesh(copy: mi.Mesh, mesh: mi.Mesh, props: mi.Properties) -> None:
     """Construct `copy`, in the constructor of a subclass of mi.Mesh, with the arrays of a mesh.
 
     They have to have normals and texture coordinates, and do not leave the device: plugins must not
@@ -84,7 +92,7 @@ def copy_mesh(copy: Any, mesh: Any, props: Any) -> None:
     parameters.update()
 
 
-def change_mesh(mesh: Any, arrays: Mapping[str, ArrayLike]) -> None:
+def change_mesh(mesh: mi.Mesh, arrays: Mapping[str, ArrayLike]) -> None:
     """Replace some arrays of a mesh, but for its colours.
 
     Without `normals` among them, Mitsuba derives normals from the vertices if the mesh has any.
@@ -98,7 +106,7 @@ def change_mesh(mesh: Any, arrays: Mapping[str, ArrayLike]) -> None:
     parameters.update()
 
 
-def mesh_arrays(mesh: Any) -> dict[str, NDArray[Any]]:
+def mesh_arrays(mesh: mi.Shape) -> Arrays:
     """All arrays that a mesh has, float32 and uint32."""
     import mitsuba as mi
 
@@ -110,12 +118,12 @@ def mesh_arrays(mesh: Any) -> dict[str, NDArray[Any]]:
     return {name: values for name, values in found.items() if values.size}
 
 
-def mesh_vertices(mesh: Any) -> NDArray[np.float64]:
+def mesh_vertices(mesh: mi.Mesh) -> NDArray[np.float64]:
     """Vertices [V, 3] of a mesh."""
     return np.array(mesh.vertex_positions_buffer(), np.float64).reshape(-1, 3)
 
 
-def mesh_triangles(mesh: Any) -> NDArray[np.float64]:
+def mesh_triangles(mesh: mi.Mesh) -> NDArray[np.float64]:
     """Corners [F, 3, 3] of the triangles of a mesh."""
     return mesh_vertices(mesh)[np.array(mesh.faces_buffer()).reshape(-1, 3)]
 

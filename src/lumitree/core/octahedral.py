@@ -18,21 +18,24 @@ Symbols
     s, t    place between four middles of bins, 0 to 1
 """
 
+from __future__ import annotations
+
 import functools
 import math
-from typing import Any
+from typing import TypeVar
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+Number = TypeVar("Number", bound=np.generic)
 
-def octahedral(direction: Any, bevels: int = 0) -> Any:
+
+def octahedral(direction: mi.Vector3f, bevels: int = 0) -> mi.Vector2f:
     """Octahedral coordinates in [-1, 1]² of a direction of any length.
 
     Args:
-        direction: mi.Vector3f.
         bevels: R, if edges are bevelled as for light fields; 0 if they are not.
     """
     x, y, z = dr.abs(direction)
@@ -49,7 +52,7 @@ def octahedral(direction: Any, bevels: int = 0) -> Any:
     return mi.Vector2f(dr.copysign(place.x, direction.x), dr.copysign(place.y, direction.y))
 
 
-def _between_middles(place: Any, resolution: int) -> tuple[Any, Any]:
+def _between_middles(place: mi.Vector2f, resolution: int) -> tuple[mi.Vector2f, mi.Bool]:
     """(s, t) of a place of the upper half in positive coordinates; and whether it is at z = 0."""
     scaled = place * (resolution / 2) - 0.5
     first = dr.floor(scaled)
@@ -57,7 +60,7 @@ def _between_middles(place: Any, resolution: int) -> tuple[Any, Any]:
     return scaled - first, crossed
 
 
-def _from_paraboloid(place: Any, resolution: int) -> Any:
+def _from_paraboloid(place: mi.Vector2f, resolution: int) -> mi.Vector2f:
     """Place on the map of a place on the octahedron, where they differ at z = 0.
 
     With a = 1 - 2 x and b = 1 - 2 y of the place (x, y) on the octahedron, the place on the map is
@@ -72,13 +75,18 @@ def _from_paraboloid(place: Any, resolution: int) -> Any:
     return place + moved * slope
 
 
-def bin_of(direction: Any, resolution: int, offset: Any = None, *, bevelled: bool = True) -> Any:
-    """Index (mi.UInt32) of the bin of a direction of any length.
+def bin_of(
+    direction: mi.Vector3f,
+    resolution: int,
+    offset: mi.Vector2f | None = None,
+    *,
+    bevelled: bool = True,
+) -> mi.UInt32:
+    """Index of the bin of a direction of any length.
 
     Args:
-        direction: mi.Vector3f.
         resolution: bins a side.
-        offset: mi.Vector2f from -1 to 1, added to the place on the map, in bins.
+        offset: from -1 to 1, added to the place on the map, in bins.
         bevelled: whether edges are bevelled, as for light fields.
     """
     uv = octahedral(direction, resolution if bevelled else 0)
@@ -89,8 +97,8 @@ def bin_of(direction: Any, resolution: int, offset: Any = None, *, bevelled: boo
 
 
 def direction_in_bin(
-    bin_index: Any, sample: Any, resolution: int, *, bevelled: bool = True
-) -> tuple[Any, Any]:
+    bin_index: mi.UInt32, sample: mi.Point2f, resolution: int, *, bevelled: bool = True
+) -> tuple[mi.Vector3f, mi.Float]:
     """Unit direction in a bin, uniform in octahedral coordinates, and its density there.
 
     `sample` may be outside the unit square, by at most 1, and the direction then is in a neighbour.
@@ -111,7 +119,7 @@ def direction_in_bin(
     return point / length, (resolution**2 / 4) * length**3 / solid
 
 
-def _bevelled(place: Any, resolution: int) -> tuple[Any, Any, Any, Any]:
+def _bevelled(place: mi.Vector2f, resolution: int) -> tuple[mi.Float, mi.Float, mi.Float, mi.Float]:
     """Point of the bevelled octahedron of a place in positive coordinates, and its triple product.
 
     That is p · (∂p/∂u × ∂p/∂v), 0 where the map has no directions.
@@ -127,13 +135,15 @@ def _bevelled(place: Any, resolution: int) -> tuple[Any, Any, Any, Any]:
     return x, y, dr.maximum(z, 0), solid
 
 
-def _on_map(uv: Any) -> Any:
+def _on_map(uv: mi.Vector2f) -> mi.Vector2f:
     """Octahedral coordinates of a place beyond the map: the halves of each side meet."""
     uv = dr.select(dr.abs(uv.x) > 1, mi.Vector2f(dr.copysign(2, uv.x) - uv.x, -uv.y), uv)
     return dr.select(dr.abs(uv.y) > 1, mi.Vector2f(-uv.x, dr.copysign(2, uv.y) - uv.y), uv)
 
 
-def interpolated(values: NDArray[Any], direction: NDArray[Any]) -> NDArray[np.float64]:
+def interpolated(
+    values: NDArray[np.floating], direction: NDArray[np.floating]
+) -> NDArray[np.float64]:
     """Values [N] in directions [N, 3], linear between the middles of bins.
 
     It is the mean of `bin_of` over an `offset` from -1/2 to 1/2.
@@ -179,8 +189,8 @@ def _parts(resolution: int) -> int:
     return min(8, max(2, 1024 // resolution))
 
 
-def coarse_bin(index: Any, resolution: int) -> Any:
-    """Index (mi.UInt32) of the one of (R / 2)² bins that contains one of R²."""
+def coarse_bin(index: mi.UInt32, resolution: int) -> mi.UInt32:
+    """Index of the one of (R / 2)² bins that contains one of R²."""
     return index // (2 * resolution) * (resolution // 2) + index % resolution // 2
 
 
@@ -205,7 +215,7 @@ def intensity_of_histogram(flux: NDArray[np.float64]) -> NDArray[np.float64]:
     return intensity
 
 
-def bordered(values: NDArray[Any], width: int) -> NDArray[Any]:
+def bordered(values: NDArray[Number], width: int) -> NDArray[Number]:
     """Values [R + 2 width, R + 2 width, ...] on the map and beyond its sides.
 
     Beyond a side of the map is the other half of the same side.

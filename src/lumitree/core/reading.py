@@ -21,6 +21,8 @@ from numpy.typing import NDArray
 from lumitree.core.files import check_utf8
 from lumitree.errors import LumitreeError, shown
 
+# Arrays by name, of any types.
+Arrays = dict[str, NDArray[Any]]
 # Exceptions of NumPy for damaged archives: also RuntimeError if a flag marks one as encrypted, and
 # TypeError if the file is a single array.
 _DAMAGED_ARCHIVE = (
@@ -78,7 +80,7 @@ def read_bytes(path: str | os.PathLike[str], expected: str, max_bytes: int) -> b
         raise LumitreeError(f"{name} is not a file name; expected {expected}") from None
 
 
-def read_arrays(path: str | os.PathLike[str], *names: str) -> dict[str, NDArray[Any]]:
+def read_arrays(path: str | os.PathLike[str], *names: str) -> Arrays:
     """The arrays with the given names of an `.npz` archive, or all; no code in it is run.
 
     Raises:
@@ -123,7 +125,7 @@ def parse_json(text: str | bytes) -> object:
         raise LumitreeError(f"not valid JSON: {type(error).__name__}") from None
 
 
-def _members(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _members(pairs: list[tuple[str, object]]) -> dict[str, object]:
     members = dict(pairs)
     if len(members) < len(pairs):
         raise LumitreeError("a JSON object has two members of one name")
@@ -164,7 +166,7 @@ def naming(name: Callable[[], str]) -> Iterator[None]:
 
 
 def expect_arrays(
-    what: str, arrays: dict[str, tuple[NDArray[Any], type[np.generic], tuple[int, ...]]]
+    what: str, arrays: dict[str, tuple[NDArray[np.generic], type[np.generic], tuple[int, ...]]]
 ) -> None:
     """Refuse `what` if one of its arrays has not the type and shape that are listed with it."""
     for name, (array, dtype, shape) in arrays.items():

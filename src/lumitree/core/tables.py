@@ -112,6 +112,13 @@ def converted(values: object, kind: type[_T], path: Path | None = None, name: st
         raise LumitreeError(f"{where}tables are nested too deep") from None
 
 
+def check_table(value: object) -> Table:
+    """The table that a value is; anything else is refused."""
+    if not isinstance(value, dict):
+        raise LumitreeError(f"it is {shown_value(value)}; expected {_TABLE}")
+    return value
+
+
 def check_version(table: object, version: int) -> Table:
     """The table of a file; refused if its "version" is another, with which it has other keys."""
     found = table.get("version") if isinstance(table, dict) else None
@@ -145,7 +152,7 @@ def object_of(values: object, kind: type[_T], name: str) -> _T:
 
 
 class _Field(NamedTuple):
-    hint: Any
+    hint: object
     is_required: bool
 
 
@@ -160,7 +167,7 @@ def _fields(kind: type) -> dict[str, _Field]:
     }
 
 
-def _value(value: object, kind: Any, name: str) -> Any:
+def _value(value: object, kind: object, name: str) -> Any:
     """A value of an annotated type."""
     if kind is float and is_number(value):
         return float(value)
@@ -205,7 +212,7 @@ def _value(value: object, kind: Any, name: str) -> Any:
     raise _MismatchError(_expected(kind))
 
 
-def _one_of(value: object, kinds: tuple[Any, ...], name: str) -> Any:
+def _one_of(value: object, kinds: tuple[object, ...], name: str) -> object:
     """A value of one of several types."""
     if isinstance(value, dict):
         tables = [each for each in kinds if dataclasses.is_dataclass(each)]
@@ -227,7 +234,7 @@ _EXPECTED = {float: "a number", int: "a whole number", bool: "true or false", st
 _EXPECTED |= {dict: "tables", Collection: "a list of texts"}
 
 
-def _expected(kind: Any) -> str:
+def _expected(kind: object) -> str:
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if dataclasses.is_dataclass(kind):
         return _TABLE
@@ -238,7 +245,7 @@ def _expected(kind: Any) -> str:
     return _EXPECTED.get(origin or kind, "")
 
 
-def _lengths(kind: Any) -> str:
+def _lengths(kind: object) -> str:
     """Lengths of nested tuples, such as "4 x 4"."""
     inner = typing.get_args(kind)
     more = f" x {_lengths(inner[0])}" if typing.get_origin(inner[0]) is tuple else ""

@@ -9,7 +9,7 @@ are names of sockets, or indices where names repeat. `output` names the socket t
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import NotRequired, TypedDict
 
 from lumitree.asset.asset import UNIT_FACTORS
 from lumitree.asset.geometry import AssetGeometry, MeshArrays, Shape
@@ -37,8 +37,21 @@ from lumitree.core.photometry import RGB
 from lumitree.exports.pbr import Layer, PbrMaterial, converted, layer, lost_media
 from lumitree.exports.surfaces import lost_by_mirroring, mirrored_share
 
-Tree = dict[str, Any]
+
+class Tree(TypedDict):
+    """A node, see above."""
+
+    node: str
+    inputs: "Inputs"
+    set: Mapping[str, str]
+    output: str | int
+    image: NotRequired[tuple[int, bool]]
+
+
 Input = float | Sequence[float] | Tree
+Inputs = Mapping[str, Input] | Mapping[int, Input] | Mapping[str | int, Input]
+_UNCONNECTED: Mapping[str, Input] = {}
+_UNCHANGED: Mapping[str, str] = {}
 
 _EXTENSIONS = {"repeat": "REPEAT", "mirror": "MIRROR", "clamp": "EXTEND"}
 
@@ -194,7 +207,7 @@ def _with_normal(tree: Tree, normal: Tree | None) -> Tree:
     """The tree with a shading normal for each of its BSDFs that takes one."""
     if normal is None:
         return tree
-    inputs = {
+    inputs: dict[str | int, Input] = {
         name: _with_normal(value, normal)
         if isinstance(value, dict) and value["node"].startswith(("ShaderNodeBsdf", "ShaderNodeMix"))
         else value
@@ -208,12 +221,12 @@ def _with_normal(tree: Tree, normal: Tree | None) -> Tree:
 
 def node(
     kind: str,
-    inputs: Mapping[Any, Input] | None = None,
-    attributes: Mapping[str, str] | None = None,
+    inputs: Inputs = _UNCONNECTED,
+    attributes: Mapping[str, str] = _UNCHANGED,
     output: str | int = 0,
 ) -> Tree:
     """Tree of a node."""
-    return {"node": kind, "inputs": inputs or {}, "set": attributes or {}, "output": output}
+    return {"node": kind, "inputs": inputs, "set": attributes, "output": output}
 
 
 def texture(value: Texture | VertexColours) -> Tree:
@@ -230,7 +243,7 @@ def texture(value: Texture | VertexColours) -> Tree:
     }
     tree = node("ShaderNodeTexImage", {"Vector": _mapped(value.to_uv)}, attributes)
     # One image of Blender has either colours or data.
-    return {**tree, "image": [value.image, value.raw]}
+    return {**tree, "image": (value.image, value.raw)}
 
 
 def _mapped(matrix: Matrix) -> Tree:

@@ -9,7 +9,6 @@ import math
 import struct
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,7 +97,7 @@ class Glb:
         self._data += data
         return self.add("bufferViews", view)
 
-    def accessor(self, array: NDArray[Any], target: int) -> int:
+    def accessor(self, array: NDArray[np.number], target: int) -> int:
         """Add numbers [N] or [N, 2 or 3], with their bounds; returns the index of the accessor."""
         columns = array.reshape(len(array), -1)
         return self.add(

@@ -220,7 +220,7 @@ class LampStage:
         linked = lux.LightAPI(prim.GetPrim()).GetShadowLinkCollectionAPI()
         linked.CreateExcludesRel().AddTarget(f"{self._root}/surfaces")
 
-    def _vectors(self, array: NDArray[Any]) -> Any:
+    def _vectors(self, array: NDArray[np.floating]) -> Any:
         return self._pxr.Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(array, np.float32))
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from lumitree.asset.asset import Asset, Part, light_field_asset
 from lumitree.asset.geometry import AssetGeometry
 from lumitree.core.arguments import check_asset_output
-from lumitree.core.backend import in_turn, load_rgb
+from lumitree.core.backend import check_network, in_turn, load_rgb
 from lumitree.core.executor import check_executor
 from lumitree.core.files import FilePath, WorkFolder
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
@@ -147,7 +147,11 @@ def bake(
         )
     settings |= {"executor": executor, "work": work}
     given = [name for name, value in settings.items() if value is not None]
-    refuse_unused(["method", *given] if config.method == "network" else given, config, [source])
+    if config.method == "network":
+        given.append("method")
+    refuse_unused(given, config, [source])
+    if config.method == "network":
+        check_network()
     load_rgb(variant)
     if kind == "photometric":
         with reporting(progress):
@@ -156,15 +160,14 @@ def bake(
         if kind == "dataset":
             with reporting(progress):
                 return _bake_views(source, output, config, folder, work)
-        if config.method == "network":
-            return bake_network(source, output, config, folder, work, variant, executor, progress)
         from lumitree.lamp.luminaire import lamp_workers, load_luminaire
 
         with reporting(progress):
             lamp = load_luminaire(source)
             sent = lamp_workers(executor, source, lamp)
             warn_of_faults(lamp)
-            return _bake_lamp(lamp, output, config, folder, work, sent)
+            bake_lamp = bake_network if config.method == "network" else _bake_lamp
+            return bake_lamp(lamp, output, config, folder, work, sent)
 
 
 def _bake_photometric(source: Any, output: FilePath | None, config: BakeConfig) -> BakeResult:

@@ -4,7 +4,7 @@ import dataclasses
 import warnings
 from concurrent.futures import Executor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 from lumitree.asset.asset import Asset
 from lumitree.core.arguments import (
@@ -42,57 +42,43 @@ if TYPE_CHECKING:
 
 
 def bake_network(
-    source: "LuminaireLike",
+    lamp: "Luminaire",
     output: FilePath | None,
     config: BakeConfig,
     folder: WorkFolder,
     work: FilePath | None,
-    variant: str | None,
-    executor: Executor | None,
-    progress: ProgressCallback | None,
+    workers: "LampWorkers | None",
 ) -> BakeResult:
     """`bake` by the method "network"; continues an interrupted bake whose state is in `folder`.
 
     Raises:
         Interrupted: a signal was received before the asset was complete.
     """
-    check_network()
+    from lumitree.fit.light_field.bake import bake_light_field
     from lumitree.fit.network.train import RUN
-    from lumitree.lamp.luminaire import lamp_workers, load_luminaire
+    from lumitree.trace.cameras import capture as capture_views
 
     watch, light_field, network = Stopwatch(), None, config.network
-    with reporting(progress):
-        lamp = load_luminaire(source)
-        workers = lamp_workers(executor, source, lamp)
-        if config.parts is None or "light" in config.parts:
-            light_field = _bake_light_field(lamp, config, folder.path, watch, workers)
-    captured = capture(
-        lamp if executor is None else source,
-        folder.path / "dataset",
-        views=network.views,
-        resolution=network.resolution,
-        spp=network.spp,
-        variant=variant,
-        executor=executor,
-        progress=progress,
-    )
-    run = folder.path / "run"
-    resume = (run / RUN).exists()
-    trained = _train(captured.dataset, run, network.train, config.seed, resume, progress)
+    if config.parts is None or "light" in config.parts:
+        with watch.stage("light"):
+            light_field = bake_light_field(lamp, config.light, folder.path, workers, config.seed)
+    dataset, run = folder.path / "dataset", folder.path / "run"
+    with watch.stage("capture"):
+        capture_views(
+            lamp,
+            dataset,
+            views=network.views,
+            resolution=network.resolution,
+            spp=network.spp,
+            workers=workers,
+        )
+    trained = _train(dataset, run, network.train, config.seed, (run / RUN).exists())
     if trained.stopped_by is not None:
         raise Interrupted("the same command continues", trained.stopped_by)
-    with reporting(progress):
-        extracted = _extract(
-            run,
-            output,
-            network.tree_depth,
-            network.samples_per_leaf,
-            light_field,
-            lamp,
-            config,
-        )
+    leaves = network.tree_depth, network.samples_per_leaf
+    extracted = _extract(run, output, *leaves, light_field, lamp, config)
     remove_state(folder, work, extracted)
-    seconds = watch.seconds | captured.seconds | trained.seconds | extracted.seconds
+    seconds = watch.seconds | trained.seconds | extracted.seconds
     return dataclasses.replace(extracted, seconds=seconds, peak_memory_bytes=peak_memory_bytes())
 
 
@@ -207,7 +193,8 @@ def train(
     check_seed(seed)
     check_writable(Path(output) / MANIFEST)
     check_network()
-    return _train(dataset, output, config, seed, resume, progress)
+    with reporting(progress):
+        return _train(dataset, output, config, seed, resume)
 
 
 def _train(
@@ -216,13 +203,12 @@ def _train(
     config: TrainConfig,
     seed: int,
     resume: bool,
-    progress: ProgressCallback | None,
 ) -> TrainResult:
     """As `train`, with settings of any kind."""
     from lumitree.fit.network.train import train as train_network
 
     watch = Stopwatch()
-    with reporting(progress), watch.stage("train"):
+    with watch.stage("train"):
         result = train_network(dataset, output, config, seed, resume=resume)
     return TrainResult(
         run=Path(output),
@@ -290,6 +276,7 @@ def extract(
         with reporting(progress):
             return _extract(run, output, tree_depth, samples_per_leaf, None, None, config)
     load_rgb(variant)
+    from lumitree.fit.light_field.bake import bake_light_field
     from lumitree.fit.network.trained_field import load_field
     from lumitree.lamp.luminaire import load_luminaire
 
@@ -297,31 +284,17 @@ def extract(
     with reporting(progress), scratch_folder() as folder:
         lamp = load_luminaire(luminaire)
         if (frame := load_field(run).frame) != lamp.frame:
-            raise LumitreeError(
-                f"{lamp.name} has a bounding box of {_sides(lamp.frame.size)} and the views of "
-                f"{run} one of {_sides(frame.size)}, or another place; give the luminaire that was "
-                "captured"
+            sides, of_views = (
+                " x ".join(f"{side:.4g}" for side in each.size) for each in (lamp.frame, frame)
             )
-        light_field = _bake_light_field(lamp, config, folder, watch)
+            raise LumitreeError(
+                f"{lamp.name} has a bounding box of {sides} and the views of {run} one of "
+                f"{of_views}, or another place; give the luminaire that was captured"
+            )
+        with watch.stage("light"):
+            light_field = bake_light_field(lamp, config.light, folder, seed=seed)
         result = _extract(run, output, tree_depth, samples_per_leaf, light_field, lamp, config)
     return dataclasses.replace(result, seconds=watch.seconds | result.seconds)
-
-
-def _sides(size: Any) -> str:
-    return " x ".join(f"{side:.4g}" for side in size)
-
-
-def _bake_light_field(
-    lamp: "Luminaire",
-    config: BakeConfig,
-    folder: Path,
-    watch: Stopwatch,
-    workers: "LampWorkers | None" = None,
-) -> "LightField":
-    from lumitree.fit.light_field.bake import bake_light_field
-
-    with watch.stage("light"):
-        return bake_light_field(lamp, config.light, folder, workers, config.seed)
 
 
 def _extract(

@@ -8,7 +8,7 @@ intensities at all γ.
 import math
 import os
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,9 @@ from lumitree.formats.reading import (
     without_noise,
 )
 from lumitree.formats.type_c import EDGE, IntensityDistribution, completed
+
+if TYPE_CHECKING:
+    from pyldt import Ldt
 
 KIND = "EULUMDAT file"
 _MAKER = "lumitree"
@@ -73,7 +76,7 @@ def write_ldt(path: str | os.PathLike[str], distribution: IntensityDistribution)
         LdtWriter.write(file, temporary, overwrite=True)
 
 
-def ldt_of(distribution: IntensityDistribution, file_name: str = "") -> Any:
+def ldt_of(distribution: IntensityDistribution, file_name: str = "") -> "Ldt":
     """EULUMDAT data (`pyldt.Ldt`), without symmetry.
 
     The flux of the lamps is the flux of the bare emitters. If this is not known, it is the flux of
@@ -305,7 +308,7 @@ class _Reader:
         return np.array(values), end
 
 
-def _step(angles: NDArray[Any]) -> float:
+def _step(angles: NDArray[np.floating]) -> float:
     """Step of equidistant angles; 0 for others, as EULUMDAT has it."""
     steps = np.diff(angles)
     return float(steps[0]) if len(steps) and np.ptp(steps) < 1e-6 else 0.0

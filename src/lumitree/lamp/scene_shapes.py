@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from lumitree.core.backend import load_mitsuba
 from lumitree.core.mitsuba_meshes import NORMALS, VERTICES
@@ -12,8 +12,6 @@ from lumitree.errors import shown
 
 if TYPE_CHECKING:
     import mitsuba as mi
-
-    from lumitree.lamp.scene_file import SceneFile
 
 # Keys that Mitsuba gives to elements without a name begin so.
 _UNNAMED = "_arg_"
@@ -24,6 +22,16 @@ _GROUP = "ShapeGroupPlugin"
 _GEOMETRY = ["to_world", VERTICES, NORMALS, "control_points", "data"]
 # How a shape is chosen, for messages; see `SceneShape.names`.
 CHOSEN_BY = "shape's id, BSDF's id or number"
+
+
+class SceneNodes(Protocol):
+    """The nodes of a `SceneFile`, which imports this module."""
+
+    def nodes(self, kind: str) -> list[mi.parser.SceneNode]: ...
+
+    def children(self, props: mi.Properties) -> dict[str, mi.parser.SceneNode]: ...
+
+    def bsdfs(self, props: mi.Properties) -> list[mi.parser.SceneNode]: ...
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,7 +75,7 @@ class SceneShape:
         return shown(repr(self.name), 60) if self.name else f"#{self.number} ({self.kind})"
 
 
-def shape_of_node(number: int, key: str, node: mi.parser.SceneNode, file: SceneFile) -> SceneShape:
+def shape_of_node(number: int, key: str, node: mi.parser.SceneNode, file: SceneNodes) -> SceneShape:
     """The shape of a node of a `SceneFile`, before it is created.
 
     `key` is its key in the scene: the attribute `name`, or made by Mitsuba.
@@ -149,7 +157,7 @@ def shapes_of_scene(scene: mi.Scene, shapes: Sequence[SceneShape]) -> Sequence[S
     return [shape_of_object(*item) for item in enumerate(made)]
 
 
-def _described(file: SceneFile, node: mi.parser.SceneNode) -> str:
+def _described(file: SceneNodes, node: mi.parser.SceneNode) -> str:
     textures = [
         child.props.plugin_name()
         for child in file.children(node.props).values()

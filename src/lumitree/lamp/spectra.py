@@ -28,7 +28,7 @@ from lumitree.errors import LumitreeError, shown, shown_names
 if TYPE_CHECKING:
     import mitsuba as mi
 
-    from lumitree.lamp.scene_file import SceneFile
+    from lumitree.lamp.scene_shapes import SceneNodes
 
 # With their defaults: K, and the range of wavelengths, nm.
 _PARAMETERS = {"temperature": None, "wavelength_min": 360.0, "wavelength_max": 830.0}
@@ -36,7 +36,7 @@ _PARAMETERS = {"temperature": None, "wavelength_min": 360.0, "wavelength_max": 8
 Samples = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
-def replace_blackbodies(file: SceneFile) -> list[str]:
+def replace_blackbodies(file: SceneNodes) -> list[str]:
     """Replace the black bodies of a `SceneFile`'s emitters by their radiance, W/(m² sr).
 
     Returns a note for each temperature, with the radiance.
@@ -51,7 +51,7 @@ def replace_blackbodies(file: SceneFile) -> list[str]:
     return [f"{shown_names(dict.fromkeys(names))}: {line}" for line, names in notes.items()]
 
 
-def _replaced(file: SceneFile, emitter: mi.Properties) -> Iterator[str]:
+def _replaced(file: SceneNodes, emitter: mi.Properties) -> Iterator[str]:
     for name, node in file.children(emitter).items():
         if node.props.plugin_name() == "blackbody":
             body = blackbody_of(node.props)
@@ -88,7 +88,7 @@ def blackbody_of(props: mi.Properties) -> tuple[float, float, float]:
     return values[0], values[1], values[2]
 
 
-def spectra_of_emitters(file: SceneFile) -> dict[str, Samples]:
+def spectra_of_emitters(file: SceneNodes) -> dict[str, Samples]:
     """The spectra of a `SceneFile`'s surfaces that emit one, by the ids of their emitters.
 
     Emitters without an id of their own get one. Colours (RGB, textures, numbers) are no spectra.
@@ -107,7 +107,7 @@ def spectra_of_emitters(file: SceneFile) -> dict[str, Samples]:
     return found
 
 
-def _samples(file: SceneFile, emitter: mi.Properties) -> Samples | None:
+def _samples(file: SceneNodes, emitter: mi.Properties) -> Samples | None:
     held = file.children(emitter).get("radiance")
     if held is None:
         return _listed(emitter, "radiance")

@@ -11,7 +11,7 @@ import dataclasses
 import io
 import math
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -115,7 +115,7 @@ class Surface:
         check_range("spacing", self.spacing, 1 / _MAX_LENGTH, _MAX_LENGTH)
 
     def points(
-        self, shapes: Sequence[Any], seed: int
+        self, shapes: Sequence[mi.Shape], seed: int
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Points and normals [N, 3], spread evenly over the shapes that `chosen_shapes` returns.
 
@@ -144,7 +144,7 @@ class Surface:
 
 def chosen_shapes(
     surface: Surface, scene: mi.Scene, shapes: Sequence[SceneShape], title: str
-) -> list[Any]:
+) -> list[mi.Shape]:
     """The mi.Shape objects of a scene that a surface names.
 
     Raises:
@@ -237,7 +237,7 @@ class AreaFigures:
 def collect(
     planes: Sequence[Plane],
     surfaces: Sequence[Surface],
-    chosen: Sequence[Sequence[Any]],
+    chosen: Sequence[Sequence[mi.Shape]],
     points: ArrayLike | None,
     normals: ArrayLike | None,
     seed: int,
@@ -343,7 +343,7 @@ def _axes(normal: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([u, np.cross(n, u), n])
 
 
-def _check_vector(name: str, value: Any, count: int) -> None:
+def _check_vector(name: str, value: ArrayLike, count: int) -> None:
     try:
         numbers = np.asarray(value, np.float64)
     except (TypeError, ValueError):

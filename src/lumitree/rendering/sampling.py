@@ -184,7 +184,7 @@ class BoxProxy:
         return dr.select(hit & (total > 0), dr.square(distance) / (cosine * total), 0)
 
 
-def sample_cone(origin: mi.Point3f, radius: float, sample: mi.Point2f) -> mi.Vector3f:
+def sample_cone(origin: mi.Point3f, radius: mi.Float, sample: mi.Point2f) -> mi.Vector3f:
     """Direction towards the sphere of this radius about the centre, uniform over its solid angle.
 
     From a point inside the sphere all directions are towards it.

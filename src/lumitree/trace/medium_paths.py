@@ -17,8 +17,6 @@ Symbols
 
 from __future__ import annotations
 
-from typing import Any
-
 import drjit as dr
 import mitsuba as mi
 
@@ -28,8 +26,10 @@ from lumitree.trace.spawning import spawn
 _MAX_CROSSINGS = 128
 
 
-def coefficients(medium: mi.MediumPtr, active: mi.Bool, wavelengths: Any = None) -> tuple[Any, Any]:
-    """σ_s and σ_t (mi.Spectrum), 0 outside of media: any point of a homogeneous medium will do."""
+def coefficients(
+    medium: mi.MediumPtr, active: mi.Bool, wavelengths: mi.Spectrum | None = None
+) -> tuple[mi.Spectrum, mi.Spectrum]:
+    """σ_s and σ_t, 0 outside of media: any point of a homogeneous medium will do."""
     inside = active & (medium != None)  # noqa: E711 (a vector comparison)
     anywhere = dr.zeros(mi.MediumInteraction3f)
     if wavelengths is not None and mi.is_spectral:
@@ -49,9 +49,9 @@ def free_flight(
     channel: mi.UInt32,
     sampler: mi.Sampler,
     active: mi.Bool,
-    wavelengths: Any = None,
-) -> Any:
-    """Distance (mi.Float) to the next scattering in a medium; infinite where nothing scatters."""
+    wavelengths: mi.Spectrum | None = None,
+) -> mi.Float:
+    """Distance to the next scattering in a medium; infinite where nothing scatters."""
     scattering, extinction = coefficients(medium, active, wavelengths)
     scatters = active & (dr.max(scattering) > 0)
     *others, rate = extinction
@@ -66,12 +66,12 @@ def segment_weight(
     distance: mi.Float,
     ρ: mi.Spectrum,
     active: mi.Bool,
-    wavelengths: Any = None,
-) -> tuple[Any, Any]:
+    wavelengths: mi.Spectrum | None = None,
+) -> tuple[mi.Spectrum, mi.Spectrum]:
     """A segment that ends before the `free_flight`.
 
     Returns:
-        Its weight (mi.Spectrum), T over the probability that it ends there; and ρ after it.
+        Its weight, T over the probability that it ends there; and ρ after it.
     """
     scattering, extinction = coefficients(medium, active, wavelengths)
     through = _transmittance(extinction, distance)
@@ -83,8 +83,8 @@ def scattering_weight(
     distance: mi.Float,
     ρ: mi.Spectrum,
     active: mi.Bool,
-    wavelengths: Any = None,
-) -> tuple[Any, Any]:
+    wavelengths: mi.Spectrum | None = None,
+) -> tuple[mi.Spectrum, mi.Spectrum]:
     """A segment that ends by scattering, as `segment_weight`: σ_s T over its density."""
     scattering, extinction = coefficients(medium, active, wavelengths)
     through = _transmittance(extinction, distance)
@@ -98,15 +98,14 @@ def traverse(
     ρ: mi.Spectrum,
     sampler: mi.Sampler,
     active: mi.Bool,
-) -> tuple[Any, Any, Any, Any]:
+) -> tuple[mi.Bool, mi.Float, mi.Spectrum, mi.Spectrum]:
     """The segment of a path to the next surface, or to where the medium scatters before it.
 
     Args:
         distance: to the surface.
 
     Returns:
-        Where the medium scatters (mi.Bool); the free flight; the segment's weight (mi.Color3f); and
-        ρ after it.
+        Where the medium scatters; the free flight; the segment's weight; and ρ after it.
     """
     flight = free_flight(medium, channel, sampler, active)
     collides = active & (flight < distance)
@@ -117,15 +116,18 @@ def traverse(
 
 
 def transmittance(
-    medium: mi.MediumPtr, distance: mi.Float, active: mi.Bool, wavelengths: Any = None
+    medium: mi.MediumPtr,
+    distance: mi.Float,
+    active: mi.Bool,
+    wavelengths: mi.Spectrum | None = None,
 ) -> mi.Spectrum:
-    """T (mi.Spectrum) of a segment."""
+    """T of a segment."""
     return _transmittance(coefficients(medium, active, wavelengths)[1], distance)
 
 
 def medium_after(
     si: mi.SurfaceInteraction3f, direction: mi.Vector3f, medium: mi.MediumPtr, active: mi.Bool
-) -> Any:
+) -> mi.MediumPtr:
     """Medium of a ray that leaves a surface in a direction; before it, the medium is `medium`."""
     return dr.select(active & si.is_medium_transition(), si.target_medium(direction), medium)
 
@@ -166,8 +168,8 @@ def scattering_point(ray: mi.Ray3f, distance: mi.Float) -> mi.SurfaceInteraction
 
 def eval_phase(
     medium: mi.MediumPtr, ray: mi.Ray3f, wo: mi.Vector3f, active: mi.Bool
-) -> tuple[Any, Any]:
-    """Value (mi.Spectrum) and density of the phase function for a ray that arrives.
+) -> tuple[mi.Spectrum, mi.Float]:
+    """Value and density of the phase function for a ray that arrives.
 
     Args:
         wo: direction in the scene.
@@ -179,7 +181,7 @@ def eval_phase(
 
 def sample_phase(
     medium: mi.MediumPtr, ray: mi.Ray3f, sampler: mi.Sampler, active: mi.Bool
-) -> tuple[Any, Any, Any]:
+) -> tuple[mi.Vector3f, mi.Spectrum, mi.Float]:
     """A direction in which a ray that arrives scatters, its weight and density."""
     context = mi.PhaseFunctionContext(sampler)
     sample = sampler.next_1d(active), sampler.next_2d(active)
@@ -193,7 +195,9 @@ def _scattering(ray: mi.Ray3f) -> mi.MediumInteraction3f:
     return here
 
 
-def _weighted(value: Any, density: Any, ρ: Any) -> tuple[Any, Any]:
+def _weighted(
+    value: mi.Spectrum, density: mi.Spectrum, ρ: mi.Spectrum
+) -> tuple[mi.Spectrum, mi.Spectrum]:
     """A value over the mean density of the channels, and the new ρ."""
     densities = ρ * density
     mean = dr.mean(densities)
@@ -201,6 +205,6 @@ def _weighted(value: Any, density: Any, ρ: Any) -> tuple[Any, Any]:
     return value * inverse, densities * inverse
 
 
-def _transmittance(extinction: Any, distance: Any) -> Any:
+def _transmittance(extinction: mi.Spectrum, distance: mi.Float) -> mi.Spectrum:
     # A ray that meets nothing is infinite, and 0 · ∞ is not a number.
     return mi.Spectrum(dr.select(extinction > 0, dr.exp(-extinction * distance), 1))

@@ -16,8 +16,6 @@ in both directions, so light paths and camera paths agree.
 
 from __future__ import annotations
 
-from typing import Any
-
 import drjit as dr
 import mitsuba as mi
 
@@ -40,8 +38,8 @@ def scene_extent(scene: mi.Scene) -> mi.Float:
     return parameter(mi.Float, float(dr.norm(box.extents())) / 2 if box.valid() else 0.0)
 
 
-def offset(si: mi.SurfaceInteraction3f, extent: mi.Float) -> Any:
-    """Distance (mi.Float) from a surface at which a ray leaves it; `extent` is `scene_extent`."""
+def offset(si: mi.SurfaceInteraction3f, extent: mi.Float) -> mi.Float:
+    """Distance from a surface at which a ray leaves it; `extent` is `scene_extent`."""
     coordinate = dr.max(dr.abs(si.p))
     standard = (1 + coordinate) * mi.math.RayEpsilon
     flat = dr.minimum(standard, (coordinate + extent) * _FLAT_OFFSET)
@@ -55,14 +53,14 @@ def spawn(si: mi.SurfaceInteraction3f, direction: mi.Vector3f, extent: mi.Float)
     return mi.Ray3f(dr.fma(distance, si.n, si.p), direction, si.time, si.wavelengths)
 
 
-def is_opaque(bsdf: Any) -> Any:
-    """Whether no component of a mi.BSDF transmits, apart from null components (mi.Bool)."""
+def is_opaque(bsdf: mi.BSDF | mi.BSDFPtr) -> mi.Bool:
+    """Whether no component of a BSDF transmits, apart from null components."""
     return ~mi.has_flag(bsdf.flags(), mi.BSDFFlags.Transmission)
 
 
 def on_opposite_sides(
     si: mi.SurfaceInteraction3f, arriving: mi.Vector3f, leaving: mi.Vector3f
-) -> Any:
+) -> mi.Bool:
     """Whether light that arrives at a surface and leaves it crosses the geometric surface.
 
     Args:
@@ -71,14 +69,14 @@ def on_opposite_sides(
     return dr.dot(si.n, arriving) * dr.dot(si.n, leaving) >= 0
 
 
-def is_smooth(sampled_type: mi.UInt32) -> Any:
+def is_smooth(sampled_type: mi.UInt32) -> mi.Bool:
     """Whether an interaction of this mi.BSDFFlags type lets light pass without spreading it."""
     return mi.has_flag(sampled_type, mi.BSDFFlags.DeltaTransmission) | mi.has_flag(
         sampled_type, mi.BSDFFlags.Null
     )
 
 
-def is_transmitted(sampled_type: mi.UInt32) -> Any:
+def is_transmitted(sampled_type: mi.UInt32) -> mi.Bool:
     """Whether an interaction of this mi.BSDFFlags type lets light pass."""
     return mi.has_flag(sampled_type, mi.BSDFFlags.Transmission) | mi.has_flag(
         sampled_type, mi.BSDFFlags.Null

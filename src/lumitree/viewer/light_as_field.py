@@ -11,7 +11,6 @@ Symbols
 """
 
 import dataclasses
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -126,7 +125,7 @@ class _Fit:
         # Rows that are 0 get an emission of about 1e-20.
         start = np.maximum(wanted, np.maximum(wanted.max(axis=1, keepdims=True) * _DARK, 1e-20))
         logit = np.log(start / (1 - start))
-        found: NDArray[Any] = np.linalg.lstsq(self._values, logit.T, rcond=None)[0].T
+        found = np.linalg.lstsq(self._values, logit.T, rcond=None)[0].T.astype(np.float64)
         damping, error = np.full(len(wanted), 1e-2), self._error(found, wanted)
         for _ in range(_STEPS):
             step = self._step(found, wanted, damping)

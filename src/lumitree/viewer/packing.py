@@ -106,7 +106,13 @@ def pack_asset(asset: Asset) -> PackedAsset:
         "model": model,
         "light_field": light,
         "arrays": [
-            [each.name, each.dtype.str.lstrip("<|"), len(array), array[:1].size, each.planes]
+            [
+                each.name,
+                np.dtype(each.dtype).str.lstrip("<|"),
+                len(array),
+                array[:1].size,
+                each.planes,
+            ]
             for each, array in zip(layouts, arrays.values(), strict=True)
         ],
     }

@@ -9,7 +9,7 @@ over connected vertices stays. ℓ is as long as noise needs it: in a plane, the
 """
 
 import dataclasses
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,12 +35,31 @@ _COTANGENTS = 0.02, 4.0
 _FIRST, _STEPS = 6, 24
 
 
+class JoinedArrays(NamedTuple):
+    """Arrays of meshes.
+
+    Attributes:
+        vertices, normals: [V, 3].
+        places: [V, 2] of the vertices on the image of their pattern.
+        means: [V, 3] of the pattern over the triangles of a vertex.
+        faces: [F, 3] vertices of the triangles.
+        surfaces: [F] rows of their surfaces.
+    """
+
+    vertices: NDArray[np.float32]
+    normals: NDArray[np.floating]
+    places: NDArray[np.float64]
+    means: NDArray[np.floating]
+    faces: NDArray[np.integer]
+    surfaces: NDArray[np.integer]
+
+
 class Triangles:
     """Meshes that are joined to one."""
 
     def __init__(self, patterns: Patterns) -> None:
         self._patterns = patterns
-        self._parts: list[tuple[NDArray[Any], ...]] = []
+        self._parts: list[JoinedArrays] = []
         self._count = 0
 
     def add(
@@ -76,18 +95,13 @@ class Triangles:
         if pattern is not None:
             mean = self._mean(pattern, places, faces)
         numbers = np.full(len(faces), row)
-        self._parts.append((vertices, normals, places, mean, faces + self._count, numbers))
+        part = JoinedArrays(vertices, normals, places, mean, faces + self._count, numbers)
+        self._parts.append(part)
         self._count += len(vertices)
 
-    def joined(self) -> tuple[NDArray[Any], ...]:
-        """Arrays of all meshes.
-
-        Returns:
-            For vertices: positions and normals [V, 3], places on the image of their pattern [V, 2],
-            and means of the pattern over their triangles [V, 3]. For triangles: vertices [F, 3] and
-            rows of surfaces [F].
-        """
-        return tuple(map(np.concatenate, zip(*self._parts, strict=True)))
+    def joined(self) -> JoinedArrays:
+        """Arrays of all meshes."""
+        return JoinedArrays(*map(np.concatenate, zip(*self._parts, strict=True)))
 
     def _mean(
         self,

@@ -16,7 +16,7 @@ Symbols
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import drjit as dr
 import mitsuba as mi
@@ -193,5 +193,5 @@ def flux_correction(
     return FluxCorrection(factor, beyond / traced if traced > 0 else 0.0)
 
 
-def _all_rays(origin: Any, direction: Any) -> Any:
+def _all_rays(origin: mi.Point3f, direction: mi.Vector3f) -> mi.Bool:
     return dr.full(mi.Bool, True, dr.width(origin))

@@ -149,12 +149,12 @@ class Refiner:
             field.meets,
             config.light_paths_per_ray,
         )
-        *opacity_rays, opacity_target = self._source.draw_opacity(
+        origin, direction, transmittance = self._source.draw_opacity(
             config.opacity_rays_per_ray * config.rays,
             SeedStream(Purpose.STRAIGHT, self.step),
             field.meets,
         )
-        num_rays, num_opacity_rays = dr.width(rays.origin), dr.width(opacity_rays[0])
+        num_rays, num_opacity_rays = dr.width(rays.origin), dr.width(origin)
         if num_rays == 0 or num_opacity_rays == 0:
             return num_rays + num_opacity_rays
         integrated = field.integrate(rays.origin, rays.direction)
@@ -172,11 +172,11 @@ class Refiner:
             weight * (rays.share * radiance - light),
             part * rays.share * self._opacity_slope(through, rays.transmittance),
         )
-        through = field.through(*opacity_rays)
+        through = field.through(origin, direction)
         share = dr.opaque(mi.Float, (1 - part) / num_opacity_rays)
-        d_depth = share * self._opacity_slope(through, opacity_target)
+        d_depth = share * self._opacity_slope(through, transmittance)
         dr.eval(d_depth)
-        d_density += depth_gradient(field, *opacity_rays, d_depth=d_depth)
+        d_density += depth_gradient(field, origin, direction, d_depth)
         decay = config.final_rate ** min(progress, 1.0)
         opaque = math.log(OPAQUE_DEPTH / 2) + field.device_levels * math.log(2)
         field.log_density = dr.minimum(
@@ -191,7 +191,7 @@ class Refiner:
             field.smooth(decay * config.smoothing)
         return num_rays + num_opacity_rays
 
-    def _opacity_slope(self, through: Any, target: Any) -> Any:
+    def _opacity_slope(self, through: mi.Float, target: mi.Float) -> mi.Float:
         """Derivative of the opacity's loss by the optical depth of rays of transmittance T."""
         # Where the linear law is saturated, its derivative is 0 and no leaf could become thinner:
         # the one of tau is used instead.
@@ -292,7 +292,7 @@ class Adam:
         self.mean, self.square = dr.zeros(mi.Float, size), dr.zeros(mi.Float, size)
         self.steps = 0
 
-    def descend(self, values: Any, gradient: Any, rate: float) -> Any:
+    def descend(self, values: mi.Float, gradient: mi.Float, rate: float) -> mi.Float:
         """The values after one step."""
         self.steps += 1
         beta_1, beta_2 = self._decays
@@ -305,7 +305,7 @@ class Adam:
         dr.eval(self.mean, self.square, moved)
         return moved
 
-    def take(self, index: Any) -> None:
+    def take(self, index: mi.UInt32) -> None:
         """Keep the moments of some elements, in their order."""
         self.mean = dr.gather(mi.Float, self.mean, index)
         self.square = dr.gather(mi.Float, self.square, index)

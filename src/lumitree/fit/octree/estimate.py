@@ -10,9 +10,10 @@ Symbols
     b   sum of Y times radiance
 """
 
+from __future__ import annotations
+
 import dataclasses
 from collections.abc import Callable
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -87,9 +88,9 @@ class LeafStatistics:
     """Sums over rays for every leaf of an octree.
 
     Attributes:
-        terminated: mi.Float [M], number of rays that terminate in the leaf.
-        entered: mi.Float [M], number of rays that enter it before they terminate, or in it.
-        chords: mi.Float [M], summed lengths of those rays in the leaf, local units.
+        terminated: [M], number of rays that terminate in the leaf.
+        entered: [M], number of rays that enter it before they terminate, or in it.
+        chords: [M], summed lengths of those rays in the leaf, local units.
     """
 
     def __init__(self, num_leaves: int, l_max: int, config: EstimateConfig) -> None:
@@ -138,23 +139,25 @@ class LeafStatistics:
         self._add_radiance(y, paths.flux * dr.opaque(mi.Float, scale), leaf, found)
         dr.eval(self._b)
 
-    def _add_radiance(self, y: list[Any], radiance: Any, leaf: Any, active: Any) -> None:
+    def _add_radiance(
+        self, y: list[mi.Float], radiance: mi.Color3f, leaf: mi.UInt32, active: mi.Bool
+    ) -> None:
         bound = total_of(dr.width(leaf), radiance)
         for index, total in enumerate(self._b):
             channel, k = divmod(index, self._count)
             self._b[index] = total + self._sum(y[k] * radiance[channel], leaf, active, bound)
 
-    def _sum(self, value: Any, leaf: Any, active: Any, bound: float) -> Any:
+    def _sum(self, value: mi.Float, leaf: mi.UInt32, active: mi.Bool, bound: float) -> mi.Float:
         total = ExactSum(dr.width(self.terminated), bound)
         total.add(value, leaf, active)
         return total.values()
 
-    def take(self, leaves: Any) -> "LeafStatistics":
-        """The statistics of some leaves (mi.UInt32)."""
+    def take(self, leaves: mi.UInt32) -> LeafStatistics:
+        """The statistics of some leaves."""
         return self._mapped(dr.width(leaves), lambda values: dr.gather(mi.Float, values, leaves))
 
-    def sum_into(self, parents: Any, num_parents: int) -> "LeafStatistics":
-        """Sums over the leaves of each parent; `parents` (mi.UInt32 [M]) is each leaf's."""
+    def sum_into(self, parents: mi.UInt32, num_parents: int) -> LeafStatistics:
+        """Sums over the leaves of each parent; `parents` [M] is each leaf's."""
 
         def add_up(values):
             total = ExactSum(num_parents, total_of(dr.width(parents), values))
@@ -163,7 +166,7 @@ class LeafStatistics:
 
         return self._mapped(num_parents, add_up)
 
-    def _mapped(self, num_leaves: int, function: Callable[[Any], Any]) -> "LeafStatistics":
+    def _mapped(self, num_leaves: int, function: Callable[[mi.Float], mi.Float]) -> LeafStatistics:
         result = LeafStatistics(num_leaves, self._l_max, self._config)
         result.terminated, result.entered = function(self.terminated), function(self.entered)
         result.chords = function(self.chords)
@@ -172,8 +175,8 @@ class LeafStatistics:
         dr.eval(result.terminated, result.entered, result.chords, result._a, result._b)
         return result
 
-    def density(self, side: float, law: Law) -> Any:
-        """Density (mi.Float [M]) that gives a mean chord the measured opacity.
+    def density(self, side: float, law: Law) -> mi.Float:
+        """Density [M] that gives a mean chord the measured opacity.
 
         Leaves that no ray enters are opaque.
 
@@ -188,7 +191,7 @@ class LeafStatistics:
         opaque = (self.entered == 0) | (opacity > self._config.opaque_from)
         return dr.select(opaque, OPAQUE_DEPTH / side, rate)
 
-    def fit_radiance(self, prior: list[list[Any]] | None) -> list[list[Any]]:
+    def fit_radiance(self, prior: list[list[mi.Float]] | None) -> list[list[mi.Float]]:
         """Fits [3][K] of radiance by Cholesky's decomposition of each leaf's normal equations.
 
         Each leaf is shrunk towards the coefficients `prior` [3][K]; None for 0.
@@ -198,14 +201,14 @@ class LeafStatistics:
         bands = [int(np.sqrt(k)) for k in range(self._count)]
         weight = [(base + per_band * band**2) / (4 * np.pi) for band in bands]
         a = dict(zip(self._pairs, self._a, strict=True))
-        lower: dict[tuple[int, int], Any] = {}
+        lower: dict[tuple[int, int], mi.Float] = {}
         for i in range(self._count):
             for j in range(i + 1):
                 rest = a[i, j] - sum(lower[i, k] * lower[j, k] for k in range(j))
                 lower[i, j] = dr.sqrt(rest + weight[i]) if i == j else rest / lower[j, j]
         solutions = []
         for channel in range(3):
-            x: list[Any] = []
+            x: list[mi.Float] = []
             for i in range(self._count):
                 b = self._b[channel * self._count + i]
                 if prior is not None:
@@ -272,7 +275,7 @@ def estimate(
 
 def _parent_fits(
     statistics: LeafStatistics, cells: NDArray[np.int64], level: int, start_level: int
-) -> list[list[Any]] | None:
+) -> list[list[mi.Float]] | None:
     """Fits [3][K] of the cells' parents, gathered for every cell; None up to the start level."""
     if level <= start_level:
         return None
@@ -284,8 +287,8 @@ def _parent_fits(
 
 
 def _coefficients_of_logits(
-    fit: list[list[Any]], l_max: int, max_radiance: float, config: EstimateConfig
-) -> Any:
+    fit: list[list[mi.Float]], l_max: int, max_radiance: float, config: EstimateConfig
+) -> mi.Float:
     """Coefficients [M · 3 · K] whose sigmoid follows a fit of radiance [3][K]."""
     count = config.logit_directions
     directions = np.array([halton_direction(i + 1) for i in range(count)])

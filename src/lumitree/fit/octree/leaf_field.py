@@ -10,6 +10,8 @@ Symbols
     g           w Phi (1 - Phi), derivative of w Phi by the logit of Phi
 """
 
+from __future__ import annotations
+
 import copy
 import functools
 from typing import Any
@@ -81,7 +83,7 @@ class LeafField:
         levels: NDArray[np.int64],
         log_density: Any,
         coefficients: Any,
-    ) -> "LeafField":
+    ) -> LeafField:
         """A field of other leaves over the same proxy."""
         return LeafField(
             cells,
@@ -94,7 +96,7 @@ class LeafField:
             half_extents=self.half_extents,
         )
 
-    def copy(self) -> "LeafField":
+    def copy(self) -> LeafField:
         """The field as it is now; later steps on this one do not change the copy."""
         # Device arrays are never changed in place here, only replaced.
         return copy.copy(self)
@@ -105,16 +107,13 @@ class LeafField:
         return len(self.cells)
 
     @functools.cached_property
-    def device_levels(self) -> Any:
-        """The levels as mi.Float [M]."""
+    def device_levels(self) -> mi.Float:
+        """The levels [M]."""
         return on_device(mi.Float, self.levels)
 
     @functools.cached_property
-    def neighbours(self) -> list[tuple[Any, Any]]:
-        """For each of the six faces the leaf beyond its centre (mi.UInt32 [M]), if there is one.
-
-        The second of each pair is the mask (mi.Bool [M]).
-        """
+    def neighbours(self) -> list[tuple[mi.UInt32, mi.Bool]]:
+        """For each of the six faces the leaf beyond its centre [M], and whether there is one."""
         side = 1 << (self.tree_depth - self.levels)
         corner = self.cells * side[:, None]
         found = []
@@ -174,16 +173,18 @@ class LeafField:
         rows = coefficients.astype(np.float32).reshape(self.num_leaves, count)
         return on_device(mi.Float, np.pad(rows, ((0, 0), (0, self.width - rows.shape[1]))))
 
-    def meets(self, origin: Any, direction: Any) -> Any:
-        """Whether the line of a ray crosses any leaf (mi.Bool)."""
+    def meets(self, origin: mi.Point3f, direction: mi.Vector3f) -> mi.Bool:
+        """Whether the line of a ray crosses any leaf."""
 
         def visit(state, leaf, start, length, active):
             return (state[0] | active,), ~active
 
         return self.octree.traverse(origin, direction, mi.Bool(True), visit, (mi.Bool(False),))[0]
 
-    def integrate(self, origin: Any, direction: Any) -> tuple[Any, Any, Any]:
-        """L / L_max (mi.Color3f), T, and Phi where the linear law saturates (else 0)."""
+    def integrate(
+        self, origin: mi.Point3f, direction: mi.Vector3f
+    ) -> tuple[mi.Color3f, mi.Float, mi.Color3f]:
+        """L / L_max, T, and Phi where the linear law saturates (else 0)."""
         y = basis(*towards_viewer(direction), l_max=self.l_max)
 
         def shade(state, leaf, start, length, active):
@@ -201,12 +202,14 @@ class LeafField:
         through, (radiance, _, _, last) = self.traverse(origin, direction, shade, state)
         return radiance, through, last
 
-    def through(self, origin: Any, direction: Any) -> Any:
-        """T of rays (mi.Float), without their radiance."""
+    def through(self, origin: mi.Point3f, direction: mi.Vector3f) -> mi.Float:
+        """T of rays, without their radiance."""
         clear = mi.Float(0), mi.Float(1)
         return self.octree.traverse(origin, direction, mi.Bool(True), self._visit, clear)[1]
 
-    def traverse(self, origin: Any, direction: Any, shade: Any, shaded: Any) -> tuple[Any, Any]:
+    def traverse(
+        self, origin: mi.Point3f, direction: mi.Vector3f, shade: Any, shaded: Any
+    ) -> tuple[Any, Any]:
         """T of rays, and the last state of `shade`.
 
         Visits leaves front to back, until the rest is blocked; see `Octree.traverse_and_shade`.
@@ -221,28 +224,22 @@ class LeafField:
         _, tau, through = self.cross(state[0], leaf, length, active)
         return (tau, through), through > self._blocked
 
-    def cross(self, tau: Any, leaf: Any, length: Any, active: Any) -> tuple[Any, Any, Any]:
+    def cross(
+        self, tau: mi.Float, leaf: mi.UInt32, length: mi.Float, active: mi.Bool
+    ) -> tuple[mi.Float, mi.Float, mi.Float]:
         """Optical depth of a leaf along a ray, and the ray's depth and transmittance after it.
 
         Args:
-            tau: mi.Float, optical depth in front of the leaf.
-            leaf: mi.UInt32.
-            length: mi.Float, of the ray in the leaf, local units.
-            active: mi.Bool.
+            tau: optical depth in front of the leaf.
+            length: of the ray in the leaf, local units.
         """
         density = dr.exp(dr.gather(mi.Float, self.log_density, leaf, active))
         depth = dr.select(active, density * length, 0)
         tau = tau + depth
         return depth, tau, mi.Float(transmittance(tau, self.law, dr))
 
-    def emission(self, leaf: Any, y: list[Any], active: Any) -> Any:
-        """Phi of a leaf (mi.Color3f).
-
-        Args:
-            leaf: mi.UInt32.
-            y: spherical harmonics of the direction towards the viewer, mi.Float each.
-            active: mi.Bool.
-        """
+    def emission(self, leaf: mi.UInt32, y: list[mi.Float], active: mi.Bool) -> mi.Color3f:
+        """Phi of a leaf; `y` are the harmonics of the direction towards the viewer."""
         count, quads = len(y), self.width // 4
         flat = []
         for quad in range(quads):
@@ -264,13 +261,13 @@ _MAX_DEPTH = 32.0
 
 def gradients(
     field: LeafField,
-    origin: Any,
-    direction: Any,
-    integrated: tuple[Any, Any, Any],
-    d_radiance: Any,
-    d_depth: Any,
-) -> tuple[Any, Any]:
-    """The loss's derivatives by log density (mi.Float [M]) and coefficients (mi.Float [M · width]).
+    origin: mi.Point3f,
+    direction: mi.Vector3f,
+    integrated: tuple[mi.Color3f, mi.Float, mi.Color3f],
+    d_radiance: mi.Color3f,
+    d_depth: mi.Float,
+) -> tuple[mi.Float, mi.Float]:
+    """The loss's derivatives by log density [M] and coefficients [M · width].
 
     With T = law(tau), L = Phi_1 + sum_i T_i (Phi_{i+1} - Phi_i), so that
     dL/ds_j = sum_{i >= j} law'(tau_i) (Phi_{i+1} - Phi_i):
@@ -279,8 +276,8 @@ def gradients(
 
     Args:
         integrated: what `LeafField.integrate` returned for the same rays.
-        d_radiance: dL of each ray (mi.Color3f, by L / L_max).
-        d_depth: the loss's derivative by the optical depth of the whole ray (mi.Float).
+        d_radiance: dL of each ray, by L / L_max.
+        d_depth: the loss's derivative by the optical depth of the whole ray.
     """
     y = basis(*towards_viewer(direction), l_max=field.l_max)
     total, _, last = integrated
@@ -316,8 +313,10 @@ def gradients(
     return by_density.values(), by_coefficient.values()
 
 
-def depth_gradient(field: LeafField, origin: Any, direction: Any, d_depth: Any) -> Any:
-    """The derivative by log density (mi.Float [M]) of a loss that depends on T only."""
+def depth_gradient(
+    field: LeafField, origin: mi.Point3f, direction: mi.Vector3f, d_depth: mi.Float
+) -> mi.Float:
+    """The derivative by log density [M] of a loss that depends on T only."""
     by_density = ExactSum(field.num_leaves, _MAX_DEPTH * total_of(dr.width(origin), d_depth))
 
     def shade(state, leaf, start, length, active):
@@ -329,8 +328,10 @@ def depth_gradient(field: LeafField, origin: Any, direction: Any, d_depth: Any) 
     return by_density.values()
 
 
-def accumulate_by_weight(field: LeafField, origin: Any, direction: Any, value: Any) -> Any:
-    """For each leaf the sum over rays of its weight times their value, mi.Float (mi.Float [M])."""
+def accumulate_by_weight(
+    field: LeafField, origin: mi.Point3f, direction: mi.Vector3f, value: mi.Float
+) -> mi.Float:
+    """For each leaf [M] the sum over rays of its weight times their value."""
     total = ExactSum(field.num_leaves, total_of(dr.width(origin), value))
 
     def shade(state, leaf, start, length, active):
@@ -344,19 +345,18 @@ def accumulate_by_weight(field: LeafField, origin: Any, direction: Any, value: A
 
 def emission_moments(
     field: LeafField,
-    origin: Any,
-    direction: Any,
-    light: Any,
-    share: Any,
-    cell: Any,
+    origin: mi.Point3f,
+    direction: mi.Vector3f,
+    light: mi.Color3f,
+    share: mi.Float,
+    cell: mi.UInt32,
     harmonics: int,
 ) -> NDArray[np.float64]:
     """Moments of the emission of the leaves of each cell, for `calibration`.
 
     Args:
-        light: mi.Color3f of each ray.
-        share: mi.Float of each ray.
-        cell: mi.UInt32 [M], index of each leaf's cell, from 0 without gaps.
+        light, share: of each ray.
+        cell: [M], index of each leaf's cell, from 0 without gaps.
         harmonics: number of harmonics Y_k.
 
     Returns:

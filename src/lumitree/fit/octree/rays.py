@@ -36,8 +36,9 @@ from lumitree.trace.cameras import (
 from lumitree.trace.light_paths import LightPaths, termination_point, trace_light
 from lumitree.trace.spawning import scene_box, scene_extent, spawn
 
-# Which rays (origin, direction, local frame) are worth tracing: mi.Bool.
-Wanted = Callable[[Any, Any], Any]
+OriginDirection = tuple["mi.Point3f", "mi.Vector3f"]
+# Which rays (origin, direction, local frame) are worth tracing.
+Wanted = Callable[["mi.Point3f", "mi.Vector3f"], "mi.Bool"]
 
 
 @dataclasses.dataclass
@@ -82,6 +83,17 @@ class Subject:
     frame: LocalFrame
 
 
+def chosen_rays(
+    origin: mi.Point3f, direction: mi.Vector3f, wanted: Wanted
+) -> tuple[mi.Point3f, mi.Vector3f, mi.UInt32]:
+    """The wanted rays, and their indices."""
+    chosen = dr.compress(wanted(origin, direction))
+    origin = dr.gather(mi.Point3f, origin, chosen)
+    direction = dr.gather(mi.Vector3f, direction, chosen)
+    dr.eval(origin, direction)
+    return origin, direction, chosen
+
+
 class RaySource(Protocol):
     """Where a bake gets its rays from.
 
@@ -104,7 +116,9 @@ class RaySource(Protocol):
         """
         ...
 
-    def draw_opacity(self, count: int, stream: SeedStream, wanted: Wanted) -> tuple[Any, Any, Any]:
+    def draw_opacity(
+        self, count: int, stream: SeedStream, wanted: Wanted
+    ) -> tuple[mi.Point3f, mi.Vector3f, mi.Float]:
         """Origin, direction and transmittance of the wanted ones of `count` random rays."""
         ...
 
@@ -140,8 +154,8 @@ class RayTiles:
         x, y, z = self._half
         return float(np.pi * 8 * (x * y + y * z + z * x))
 
-    def draw(self, count: int, tile_seed: int, sampler: Any) -> tuple[Any, Any]:
-        """Random rays: origins (mi.Point3f) and directions (mi.Vector3f) in the local frame.
+    def draw(self, count: int, tile_seed: int, sampler: mi.Sampler) -> OriginDirection:
+        """Random rays: origins and directions in the local frame.
 
         Rays of a tile are parallel, `spacing` apart and jittered. Those that meet the proxy are
         uniform; some miss it.
@@ -149,7 +163,7 @@ class RayTiles:
         Args:
             count: number of rays, a multiple of `TILE_RAYS`.
             tile_seed: of the positions, directions and rotations of the tiles.
-            sampler: mi.Sampler, seeded for `count` rays, for the jitter.
+            sampler: seeded for `count` rays, for the jitter.
         """
         centre, direction, right, up = self._tiles(count // TILE_RAYS, tile_seed)
         index = dr.arange(mi.UInt32, count)
@@ -163,8 +177,8 @@ class RayTiles:
         )
         return mi.Point3f(origin), dr.gather(mi.Vector3f, direction, tile)
 
-    def _tiles(self, count: int, seed: int) -> tuple[Any, Any, Any, Any]:
-        """Centre, direction and both axes of `count` tiles (mi.Vector3f)."""
+    def _tiles(self, count: int, seed: int) -> tuple[mi.Vector3f, ...]:
+        """Centre, direction and both axes of `count` tiles."""
         face, turn, *places = _lattice(count, seed)
         x, y, z = self._half
         areas = np.array([y * z, z * x, x * y])
@@ -183,8 +197,8 @@ class RayTiles:
         return centre, direction, right, up
 
 
-def _lattice(count: int, seed: int) -> list[Any]:
-    """`count` points of a Kronecker sequence, shifted at random: six mi.Float in [0, 1).
+def _lattice(count: int, seed: int) -> list[mi.Float]:
+    """`count` points of a Kronecker sequence, shifted at random, in six dimensions, 0 to 1.
 
     Each point is uniform, and together they are spread more evenly than random ones.
     """
@@ -197,8 +211,8 @@ def _lattice(count: int, seed: int) -> list[Any]:
     ]
 
 
-def _on_axis(axis: Any, a: Any, b: Any, n: Any) -> Any:
-    """mi.Vector3f whose component along `axis` is n, and a and b the two that follow it."""
+def _on_axis(axis: mi.UInt32, a: mi.Float, b: mi.Float, n: mi.Float) -> mi.Vector3f:
+    """A vector whose component along `axis` is n, and a and b the two that follow it."""
     return mi.Vector3f(
         dr.select(axis == 0, n, dr.select(axis == 1, b, a)),
         dr.select(axis == 0, a, dr.select(axis == 1, n, b)),
@@ -348,7 +362,9 @@ class TracedRays:
         dr.eval(rays.origin, rays.direction, rays.share, rays.light, rays.transmittance)
         return rays
 
-    def draw_opacity(self, count: int, stream: SeedStream, wanted: Wanted) -> tuple[Any, Any, Any]:
+    def draw_opacity(
+        self, count: int, stream: SeedStream, wanted: Wanted
+    ) -> tuple[mi.Point3f, mi.Vector3f, mi.Float]:
         """As `RaySource.draw_opacity`."""
         rays = self._wanted_rays(count, stream, wanted)
         if not dr.width(rays[0]):
@@ -372,7 +388,7 @@ class TracedRays:
         dr.eval(rays.origin, rays.direction, rays.point, rays.terminated, rays.radiance)
         return rays
 
-    def random_rays(self, count: int, stream: SeedStream) -> tuple[Any, Any]:
+    def random_rays(self, count: int, stream: SeedStream) -> OriginDirection:
         """Origins and directions of `count` random rays, see `RayTiles.draw`."""
         self._sampler.seed(stream.seed(self._seed, _Part.JITTER), count)
         tile_seed = stream.seed(self._seed, _Part.TILES)
@@ -383,8 +399,10 @@ class TracedRays:
         self._sampler.seed(stream.seed(self._seed, _Part.LIGHT_PATHS), count)
         return trace_light(self.luminaire, self._sampler, count, PATH_DEPTH)
 
-    def trace(self, origin: Any, direction: Any, stream: SeedStream, paths: int) -> tuple[Any, Any]:
-        """All radiance (mi.Color3f) of rays, mean of some camera paths, and transmittance."""
+    def trace(
+        self, origin: mi.Point3f, direction: mi.Vector3f, stream: SeedStream, paths: int
+    ) -> tuple[mi.Color3f, mi.Float]:
+        """All radiance of rays, mean of some camera paths, and transmittance."""
         seed = stream.seed(self._seed, _Part.CAMERA_PATHS)
         radiance = self._trace(origin, direction, seed, paths)
         return radiance, self._follow_smooth(origin, direction, stream)[0]
@@ -411,15 +429,12 @@ class TracedRays:
         values = np.sort(pixels.ravel())
         return float(values[-min(brightest, len(values))] or values[-1])
 
-    def _wanted_rays(self, count: int, stream: SeedStream, wanted: Wanted) -> tuple[Any, Any]:
-        origin, direction = self.random_rays(count, stream)
-        chosen = dr.compress(wanted(origin, direction))
-        origin = dr.gather(mi.Point3f, origin, chosen)
-        direction = dr.gather(mi.Vector3f, direction, chosen)
-        dr.eval(origin, direction)
-        return origin, direction
+    def _wanted_rays(self, count: int, stream: SeedStream, wanted: Wanted) -> OriginDirection:
+        return chosen_rays(*self.random_rays(count, stream), wanted)[:2]
 
-    def _trace(self, origin: Any, direction: Any, seed: int, paths: int) -> Any:
+    def _trace(
+        self, origin: mi.Point3f, direction: mi.Vector3f, seed: int, paths: int
+    ) -> mi.Color3f:
         count, scene = dr.width(origin), self.luminaire.scene
         index = dr.arange(mi.UInt32, count * paths) // paths
         copies = dr.gather(mi.Point3f, origin, index), dr.gather(mi.Vector3f, direction, index)
@@ -432,7 +447,9 @@ class TracedRays:
         dr.eval(radiance)
         return radiance
 
-    def _follow_smooth(self, origin: Any, direction: Any, stream: SeedStream) -> tuple[Any, Any]:
+    def _follow_smooth(
+        self, origin: mi.Point3f, direction: mi.Vector3f, stream: SeedStream
+    ) -> tuple[mi.Float, mi.Color3f]:
         """Transmittance of rays, and radiance seen through smooth transmission only."""
         self._sampler.seed(stream.seed(self._seed, _Part.STRAIGHT_THROUGH), dr.width(origin))
         ray = self._world_ray(origin, direction)
@@ -440,7 +457,7 @@ class TracedRays:
         dr.eval(found)
         return found
 
-    def _world_ray(self, origin: Any, direction: Any) -> Any:
+    def _world_ray(self, origin: mi.Point3f, direction: mi.Vector3f) -> mi.Ray3f:
         # From outside the bounding sphere, so that nothing is missed.
         back = dr.dot(direction, origin) + self._tiles.reach
         outside = mi.Point3f(origin - back * direction)

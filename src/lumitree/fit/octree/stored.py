@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -18,7 +17,7 @@ from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.errors import LumitreeError
 from lumitree.fit.octree.config import TILE_RAYS, TILE_SIDE
 from lumitree.fit.octree.estimate import inside_box
-from lumitree.fit.octree.rays import RayPairs, Rays, Subject, Wanted
+from lumitree.fit.octree.rays import RayPairs, Rays, Subject, Wanted, chosen_rays
 from lumitree.lamp.dataset import Dataset, View, visual_hull
 
 
@@ -65,17 +64,17 @@ class StoredRays:
         They bring all the light; `light_paths_per_ray` is ignored.
         """
         origin, direction, radiance, through = self._pixels(self._training, count, stream)
-        chosen = dr.compress(wanted(origin, direction))
-        origin = dr.gather(mi.Point3f, origin, chosen)
-        direction = dr.gather(mi.Vector3f, direction, chosen)
+        origin, direction, chosen = chosen_rays(origin, direction, wanted)
         num_rays = dr.width(chosen)
         share = dr.opaque(mi.Float, 1 / max(1, num_rays)) * dr.ones(mi.Float, num_rays)
         light = dr.gather(mi.Color3f, radiance, chosen) * share
         through = dr.gather(mi.Float, through, chosen)
-        dr.eval(origin, direction, share, light, through)
+        dr.eval(share, light, through)
         return Rays(origin, direction, share, light, through)
 
-    def draw_opacity(self, count: int, stream: SeedStream, wanted: Wanted) -> tuple[Any, Any, Any]:
+    def draw_opacity(
+        self, count: int, stream: SeedStream, wanted: Wanted
+    ) -> tuple[mi.Point3f, mi.Vector3f, mi.Float]:
         """Origin, direction and transmittance of wanted rays of the training views."""
         rays = self.draw(count, stream, wanted)
         return rays.origin, rays.direction, rays.transmittance
