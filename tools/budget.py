@@ -22,7 +22,7 @@ LINES = {
     "exports": 3_600,
     "fit": 5_900,
     "formats": 4_100,
-    "lamp": 10_500,
+    "lamp": 10_450,
     "many": 600,
     "measure": 5_150,
     "octree": 1_050,
