@@ -15,8 +15,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
-from scipy.ndimage import gaussian_filter
 
 from lumitree.core.arguments import check_choice, check_range
 from lumitree.core.images import block_means
@@ -306,6 +304,8 @@ def bloomed(image: NDArray[np.float32], share: float) -> NDArray[np.float32]:
     kept = np.full((height, width), 1 - share, np.float32)
     for deviation, weight in _BLOOM:
         kept += share * weight * np.exp(-0.5 * (np.pi * deviation * diagonal) ** 2 * squares)
+    from scipy import fft
+
     spectrum: Any = fft.dctn(image, axes=(0, 1), norm="ortho")
     shown: Any = fft.idctn(spectrum * kept[..., None], axes=(0, 1), norm="ortho")
     return np.maximum(shown, 0)
@@ -319,6 +319,8 @@ def _resolved(
     if highlights is not None:
         bright, clamped = highlights.divide(_MOST * white)
         if bright.any():
+            from scipy.ndimage import gaussian_filter
+
             filtered = gaussian_filter(clamped, (_FILTER, _FILTER, 0), mode="nearest")
             image += (filtered - bright) / white
     image = np.maximum(image, 0)
