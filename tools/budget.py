@@ -16,7 +16,7 @@ SOURCE = ROOT / "src/lumitree"
 # Lines of Python by package of `src/lumitree`; "" are the modules beside the packages.
 LINES = {
     "": 400,
-    "asset": 2_900,
+    "asset": 2_800,
     "cli": 1_760,
     "core": 4_900,
     "exports": 3_600,
@@ -32,13 +32,13 @@ LINES = {
 }
 FILES = 216
 OTHERS = {
-    "lines of tests": 42_100,
+    "lines of tests": 41_900,
     "lines of benchmarks": 9_850,
     "words of docs by hand": 45_000,
     "lines of README.md": 90,
     "files that use the word gain": 12,
-    "lines with Any": 415,
-    "private functions used once": 360,
+    "lines with Any": 295,
+    "private functions used once": 352,
 }
 
 
