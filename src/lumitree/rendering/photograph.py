@@ -1,7 +1,8 @@
 """Photographs: what a camera with exposure and white balance makes of an image's radiance.
 
-Exposure is EV100: white on the display is a luminance of 1.2 x 2^EV cd/m², as for a camera that is
-calibrated by ISO 2720. White balance is a chromatic adaptation by CAT16 (CIE 248:2022).
+Exposure is EV100: white on the display is a luminance of 1.2 x 2^EV cd/m², as for a camera whose
+sensor is rated by its saturation (ISO 12232). White balance is a chromatic adaptation by CAT16
+(CIE 248:2022).
 
 Filaments are up to 1,000 times as bright as white, and the edge of one would be a staircase
 whatever the reconstruction filter. So emitters that are seen are clamped to a few times white
@@ -14,8 +15,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
-from scipy.ndimage import gaussian_filter
 
 from lumitree.core.arguments import check_choice, check_range
 from lumitree.core.images import block_means
@@ -35,7 +34,7 @@ from lumitree.rendering.view_transform import VIEWS, View, displayed
 # Log-average luminance of the scene relative to white. Side in pixels of the blocks over which it
 # is averaged: the logarithm of single pixels would measure their noise. Share of the blocks that is
 # at most so many times as bright as white.
-_KEY, _BLOCK, _BRIGHTEST = 0.36, 8, (0.95, 4.0)
+_KEY, _BLOCK, _BRIGHTEST = 0.36, 8, (0.95, 3.0)
 # Stops above and below the median block beyond which a block is no part of the scene: lamps and
 # windows, and openings into the dark.
 _ABOVE, _BELOW = 4.0, 7.0
@@ -52,7 +51,7 @@ _LEAST_ALBEDO, _POWER = 0.05, 4
 # brighter, pixels.
 _MOST, _FILTER = 16.0, 0.5
 # Bloom: standard deviations of Gaussians as parts of the image's diagonal, and their weights.
-_BLOOM = ((0.003, 0.5), (0.012, 0.3), (0.05, 0.2))
+_BLOOM = ((0.003, 0.5), (0.012, 0.35), (0.04, 0.15))
 _CAT16 = np.array(
     [
         [0.401288, 0.650173, -0.051461],
@@ -95,8 +94,7 @@ class Photograph:
     Attributes:
         pixels: uint8 [H, W, 3], sRGB.
         ev: exposure, EV100.
-        white_balance: colour temperature of the light that is adapted to daylight, K; None for no
-            adaptation.
+        white_balance: colour temperature of light that is shown white, K; None for no adaptation.
     """
 
     pixels: NDArray[np.uint8]
@@ -160,7 +158,7 @@ class PhotoSettings:
         scaled = bloomed(_resolved(radiance, highlights, white_radiance(ev)), self.bloom)
         if light is not None:
             scaled = scaled @ light.adaptation().T.astype(np.float32)
-        kelvin = None if light is None else light.temperature
+        kelvin = None if light is None else light.white_temperature
         return Photograph(displayed(scaled, self.view), ev, kelvin)
 
     def _light(
@@ -191,11 +189,23 @@ class Light:
 
         White of this light goes `degree` of the way to D65, in XYZ; its luminance stays.
         """
-        white = _CAT16 @ xyz_from_srgb(np.ones(3))
-        light = np.maximum(_CAT16 @ self.xyz, 1e-3)
-        gains = self.degree * white / light + 1 - self.degree
-        adapted = np.linalg.solve(_CAT16, gains[:, None] * _CAT16)
+        adapted = np.linalg.solve(_CAT16, self._gains()[:, None] * _CAT16)
         return srgb_from_xyz((adapted @ xyz_from_srgb(np.eye(3)).T).T).T
+
+    @property
+    def white_temperature(self) -> float:
+        """Colour temperature of the light that becomes D65, K: nearer to it than this light."""
+        white = np.array(np.linalg.solve(_CAT16, _daylight() / self._gains()), np.float64)
+        return self.temperature if self.degree == 1 else xyz_temperature(white)[0]
+
+    def _gains(self) -> NDArray[np.float64]:
+        light = np.maximum(_CAT16 @ self.xyz, 1e-3)
+        return self.degree * _daylight() / light + 1 - self.degree
+
+
+def _daylight() -> NDArray[np.float64]:
+    """D65 in the space of CAT16."""
+    return _CAT16 @ xyz_from_srgb(np.ones(3))
 
 
 def check_exposure(exposure: float | str) -> None:
@@ -254,7 +264,7 @@ def automatic_ev(radiance: NDArray[np.floating]) -> float:
 def light_on_scene(
     radiance: NDArray[np.floating], albedo: NDArray[np.floating] | None = None
 ) -> Light | None:
-    """The light on the surfaces of an image [H, W, 3]; None for a black image.
+    """The light on the surfaces of an image [H, W, 3]; None if there is none, or it is coloured.
 
     With the albedo [H, W, 3] of the surfaces it is radiance over albedo. Without it bright surfaces
     count most, which are mostly white.
@@ -277,7 +287,7 @@ def light_on_scene(
         return None
     low, high = _COLOURED
     degree = _ADAPTATION * min(max((high - abs(duv)) / (high - low), 0.0), 1.0)
-    return Light(xyz / xyz[1], temperature, degree)
+    return Light(xyz / xyz[1], temperature, degree) if degree else None
 
 
 def bloomed(image: NDArray[np.float32], share: float) -> NDArray[np.float32]:
@@ -294,6 +304,8 @@ def bloomed(image: NDArray[np.float32], share: float) -> NDArray[np.float32]:
     kept = np.full((height, width), 1 - share, np.float32)
     for deviation, weight in _BLOOM:
         kept += share * weight * np.exp(-0.5 * (np.pi * deviation * diagonal) ** 2 * squares)
+    from scipy import fft
+
     spectrum: Any = fft.dctn(image, axes=(0, 1), norm="ortho")
     shown: Any = fft.idctn(spectrum * kept[..., None], axes=(0, 1), norm="ortho")
     return np.maximum(shown, 0)
@@ -307,6 +319,8 @@ def _resolved(
     if highlights is not None:
         bright, clamped = highlights.divide(_MOST * white)
         if bright.any():
+            from scipy.ndimage import gaussian_filter
+
             filtered = gaussian_filter(clamped, (_FILTER, _FILTER, 0), mode="nearest")
             image += (filtered - bright) / white
     image = np.maximum(image, 0)

@@ -30,7 +30,7 @@ _PLACE_CODES = 1 << 13
 # Codes of radiance for a factor of 2, and factors of 2 from the least radiance to the largest.
 _CODES_A_STOP, _STOPS = 32, 30
 # Paths that end at all triangles together; and at one, at least and at most.
-_PATHS, _LEAST_PATHS, _MOST_PATHS = 1 << 20, 4, 128
+_PATHS, _LEAST_PATHS, _MOST_PATHS = 1 << 19, 4, 128
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,7 +79,10 @@ def page_model(asset: Asset) -> PageModel:
     # The pattern of an emitter is the pattern of its emission.
     means[faces[np.array([row.emits for row in rows])[surfaces]]] = 1.0
     lights = studio_lights(portrait_half_width(asset), 1.0)
-    soft = _sent_out(_unlit(asset), vertices, means, *visible, lights)
+    # By the light of the studio alone, the lamp emits nothing.
+    dark = tuple(dataclasses.replace(shape, radiance=None) for shape in geometry.shapes)
+    unlit = dataclasses.replace(asset, geometry=dataclasses.replace(geometry, shapes=dark))
+    soft = _sent_out(unlit, vertices, means, *visible, lights)
     largest_soft = float(soft.max()) or 1.0
 
     description = {
@@ -108,13 +111,6 @@ def page_model(asset: Asset) -> PageModel:
         "surfaces": surfaces.astype(np.uint8 if len(rows) <= 256 else np.uint16),
     }
     return PageModel(description, arrays)
-
-
-def _unlit(asset: Asset) -> Asset:
-    """The asset, whose geometry emits nothing."""
-    assert asset.geometry is not None
-    shapes = tuple(dataclasses.replace(shape, radiance=None) for shape in asset.geometry.shapes)
-    return dataclasses.replace(asset, geometry=dataclasses.replace(asset.geometry, shapes=shapes))
 
 
 def _sent_out(
