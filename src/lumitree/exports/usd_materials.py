@@ -25,7 +25,7 @@ class MaterialWriter:
     Args:
         pxr, stage: the library (`load_usd`), and a stage of it.
         parent: path of the materials.
-        images: files of textures; each is beside the stage, with `stem` before its name.
+        images: files of textures; each is beside the stage.
         materialx: whether materials have a `standard_surface` too, where it is short.
 
     Attributes:
@@ -33,9 +33,9 @@ class MaterialWriter:
     """
 
     def __init__(
-        self, pxr: Any, stage: Any, parent: str, images: PbrImages, stem: str, *, materialx: bool
+        self, pxr: Any, stage: Any, parent: str, images: PbrImages, *, materialx: bool
     ) -> None:
-        self.pxr, self.stage, self.images, self.stem = pxr, stage, images, stem
+        self.pxr, self.stage, self.images = pxr, stage, images
         self._parent, self._materialx = parent, materialx
         self._previews: list[_Shader] = []
         self._standards: list[_Shader] = []
@@ -49,7 +49,10 @@ class MaterialWriter:
         self._preview(preview, surface.material)
         made.CreateSurfaceOutput().ConnectToSource(preview.output("surface"))
         self._previews.append(preview)
-        if self._materialx and _is_plain(surface.material):
+        material = surface.material
+        # Glass or metal without textures.
+        is_plain = ONE in (material.transmission, material.metallic) and not material.textures
+        if self._materialx and is_plain and material.opacity == ONE:
             standard = _Shader(self, f"{path}/standard", _STANDARD, surface)
             _standard(standard, surface.material)
             made.CreateSurfaceOutput("mtlx").ConnectToSource(standard.output("out"))
@@ -93,7 +96,10 @@ class MaterialWriter:
             self.lost.add(
                 "UsdPreviewSurface does not refract: glass is a transparent surface with highlights"
             )
-            opacity = opacity.scaled(1 - through.number * _transmitted(shader.surface))
+            # The mean of R, G and B at normal incidence.
+            reflected = ((material.index - 1) / (material.index + 1)) ** 2
+            crossing = float(np.mean(shader.surface.tint)) * (1 - reflected)
+            opacity = opacity.scaled(1 - through.number * crossing)
         if through.texture is not None:
             self.lost.add("textures of transmission are replaced by 1")
         shader.layer("opacity", opacity)
@@ -166,7 +172,7 @@ class _Shader:
         if texture.filter_type == "nearest":
             self._writer.lost.add("images without interpolation are interpolated")
         node = self._node(name, "UsdUVTexture")
-        path = self._pxr.Sdf.AssetPath(f"./{self._writer.stem}.{file}.png")
+        path = self._pxr.Sdf.AssetPath(f"./{file}.png")
         node.CreateInput("file", self._types.Asset).Set(path)
         node.CreateInput("sourceColorSpace", self._types.Token).Set(space)
         for axis in ("wrapS", "wrapT"):
@@ -199,19 +205,6 @@ def _diffuse(surface: Surface) -> Layer:
         least = min(surface.tint)
         return Layer((red - least, green - least, blue - least))
     return material.colour
-
-
-def _transmitted(surface: Surface) -> float:
-    """Part of the light that crosses a surface at normal incidence: the mean of R, G and B."""
-    index = surface.material.index
-    reflected = ((index - 1) / (index + 1)) ** 2
-    return float(np.mean(surface.tint)) * (1 - reflected)
-
-
-def _is_plain(material: PbrMaterial) -> bool:
-    """Whether it is glass or metal without textures."""
-    kind = ONE in (material.transmission, material.metallic)
-    return kind and material.opacity == ONE and not material.textures
 
 
 def _standard(shader: _Shader, material: PbrMaterial) -> None:

@@ -248,6 +248,7 @@ def render_passes(
     if sums is not None:
         spent = _share(budget, sums, _noise(sums))
         plan.continue_after(sums.samples, sums.seconds, is_over=spent >= 1)
+        name += f", continued after {sums.samples:,} samples per pixel"
     next_time = 0.0
     if renderer is None:
         here = (render_pass(scene, integrator, *each) for each in plan)
