@@ -18,6 +18,7 @@ import lumitree
 from lumitree.cli import main
 from lumitree.cli.app import _parsed
 from lumitree.cli.commands import COMMANDS, _places
+from lumitree.cli.output import print_photograph
 from lumitree.core.files import MARKER
 from lumitree.core.photometry import flux_text
 from lumitree.lamp.source import LuminaireSource
@@ -210,6 +211,14 @@ def test_what_a_command_cannot_do_is_refused_before_it_works(capsys, monkeypatch
         ["render", "room.xml", "-o", "a.png", "--spp", "0"],
     ):
         fails(capsys, *arguments)
+
+
+@pytest.mark.parametrize(("kelvin", "balance"), [(3099.6, "3,100 K"), (None, "off")])
+def test_exposure_and_white_balance_are_printed(capsys, kelvin, balance):
+    print_photograph({"image": "a.png", "spp": 4, "ev": 9.46, "white_balance": kelvin})
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-1].split() == f"exposure EV 9.5, white balance {balance}".split()
+    assert "ev" not in {line.split()[0] for line in lines}
 
 
 def test_bare_command_shows_its_help(capsys):
