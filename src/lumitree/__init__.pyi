@@ -57,7 +57,9 @@ from .many.result import BakeManyResult as BakeManyResult
 from .measure.evaluate import EvaluateResult as EvaluateResult
 from .measure.evaluate import evaluate as evaluate
 from .measure.glare import Glare as Glare
+from .measure.glare import LampGlare as LampGlare
 from .measure.glare import glare as glare
+from .measure.glare import lamp_glare as lamp_glare
 from .measure.illuminance import IlluminanceResult as IlluminanceResult
 from .measure.illuminance import illuminance as illuminance
 from .measure.near_field import NearFieldLimit as NearFieldLimit

@@ -1,5 +1,6 @@
 """Files appear whole or not at all; folders that lumitree owns, and files that it never deletes."""
 
+# pyright: reportPossiblyUnboundVariable=false
 import contextlib
 import errno
 import fcntl
@@ -409,6 +410,18 @@ def test_files_of_an_output_appear_together_and_replace_older_ones(tmp_path):
         assert (tmp_path / "lamp.rad").read_text() == "old"
     assert sorted(os.listdir(tmp_path)) == ["lamp.r.dat", "lamp.rad", "lamp.zz.dat", "other"]
     assert (tmp_path / "lamp.rad").read_text() == (tmp_path / "lamp.zz.dat").read_text() == "new"
+
+
+def test_files_of_a_folder_beside_an_output_replace_older_ones(tmp_path):
+    for text in ("old", "new"):
+        with atomic_files(tmp_path / "lamp.rad") as folder:
+            (folder / "lamp_files").mkdir()
+            (folder / "lamp_files/lamp.rad").write_text(text)
+            (folder / "lamp.rad").write_text(text)
+        (tmp_path / "lamp_files/other").write_text("mine")
+    assert sorted(os.listdir(tmp_path)) == ["lamp.rad", "lamp_files"]
+    assert (tmp_path / "lamp_files/lamp.rad").read_text() == "new"
+    assert (tmp_path / "lamp_files/other").read_text() == "mine"
 
 
 @pytest.mark.parametrize("write", [atomic_files, atomic_folder])

@@ -69,10 +69,11 @@ def test_tables_hold_the_flux(tmp_path, count):
     asset = lamp()
     result = lumitree.export(asset, tmp_path / "the lamp.rad", lights=count)
     # The digest of a name that not all files can have.
-    stem = "the_lamp-04410513"
-    names = ["the lamp.rad", *(f"{stem}.{each}" for each in ("b.dat", "cal", "g.dat", "r.dat"))]
-    assert sorted(os.listdir(tmp_path)) == names == [each.name for each in result.files]
-    tables = np.stack([table(tmp_path / f"{stem}.{each}.dat") for each in "rgb"], axis=-1)
+    side = tmp_path / "the_lamp-04410513_files"
+    assert sorted(os.listdir(tmp_path)) == ["the lamp.rad", side.name]
+    names = ("b.dat", "g.dat", "light.cal", "r.dat")
+    assert result.files == [tmp_path / "the lamp.rad", *(side / name for name in names)]
+    tables = np.stack([table(side / f"{each}.dat") for each in "rgb"], axis=-1)
     inner = tables[:count, 1:-1, 1:-1].reshape(count, -1, 3)
     flux = np.einsum("sbc,b->c", inner, solid_angles(8))
     assert lumens(flux) == pytest.approx(float(luminance(asset_watts(asset))), rel=1e-4)

@@ -6,24 +6,17 @@ import numpy as np
 import pytest
 import trimesh
 
-from lumitree.core.backend import load_mitsuba
 from lumitree.lamp.diagnosis import diagnose, trace_lines
 from lumitree.lamp.luminaire import load_luminaire
 from support.lamps import AREA, GLASS, cube, scene, sphere
-from support.variant import VARIANT
 
 LAMP = sphere("lamp", 0.1, (0, 0, 5), AREA)
 BUBBLE = GLASS.replace("int_ior", "outside").replace("ext", "int").replace("outside", "ext_ior")
 MASKED = f'<bsdf type="mask">{GLASS}</bsdf>'
 
 
-@pytest.fixture(scope="module", autouse=True)
-def mi():
-    return load_mitsuba(VARIANT)
-
-
 @pytest.fixture
-def faults(tmp_path):
+def faults(mi, tmp_path):
     def find(*shapes):
         (tmp_path / "lamp.xml").write_text(scene(LAMP, *shapes))
         return diagnose(load_luminaire(tmp_path / "lamp.xml").scene)

@@ -7,13 +7,11 @@ import pytest
 
 from lumitree.asset.geometry import Medium
 from lumitree.asset.materials import Diffuse, MetallicRoughness, Texture, VertexColours
-from lumitree.core.backend import load_mitsuba
 from lumitree.lamp.materials import Material, glass, metal
 from lumitree.lamp.meshes import Mesh
 from lumitree.lamp.parts import Geometry, Part
 from lumitree.lamp.scene_file import SceneFile
 from lumitree.lamp.scene_writer import write_scene
-from support.variant import VARIANT
 
 # A square that faces +z; v = 0 at its top.
 SQUARE = Mesh(
@@ -25,11 +23,6 @@ SQUARE = Mesh(
 )
 IMAGES = (np.full((2, 2, 3), (128, 128, 255), np.uint8), np.full((2, 2, 1), 99, np.uint8))
 FLAT, GREY = (Texture(image=at, raw=True) for at in range(2))
-
-
-@pytest.fixture(scope="module")
-def mi():
-    return load_mitsuba(VARIANT)
 
 
 ONE_PLACE = (np.eye(4),)

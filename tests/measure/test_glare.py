@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import lumitree
+from support.ies_text import ies_text
 
 
 def position_index(across, up):
@@ -267,3 +268,55 @@ def test_an_orthographic_image_is_refused(mi):
     with pytest.raises(lumitree.LumitreeError, match="not a perspective one"):
         lumitree.glare(image, 100)
     assert np.isfinite(image.luminance).all()
+
+
+def panel(tmp_path, name="panel.ies"):
+    """Photometric file of a square of 0.6 m that emits 1,150 cos γ cd downwards: 3,194 cd/m²."""
+    gamma = np.append(np.arange(0, 90.5, 2.5), [90.001, 180])
+    candela = 1150 * np.maximum(np.cos(np.deg2rad(gamma)), 0)
+    (tmp_path / name).write_text(ies_text([candela], [0], gamma, (0.6, 0.6, 0)))
+    return str(tmp_path / name)
+
+
+@pytest.mark.parametrize("unit", [1.0, 0.01])
+def test_ugr_of_a_lamp_by_hand(mi, tmp_path, unit):
+    """One panel 1.5 m above the eye, and 3 m ahead.
+
+    r² = 11.25 m², cos γ = 1.5 / 3.354 = 0.4472, L = 1150 / 0.36 = 3194.4 cd/m²,
+    ω = 0.36 · 0.4472 / 11.25 = 0.014311 sr. T / R = 0 and H / R = 0.5, so σ = 26.565° and τ = 0:
+    ln p = (35.2 - 1.22) · 0.026565 + 21e-5 · 705.7 = 0.90268 + 0.14820, p = 2.8601.
+    UGR = 8 log₁₀(0.25 / 25 · 3194.4² · 0.014311 / 2.8601²) = 8 log₁₀ 178.52 = 18.013.
+    """
+    lamp = lumitree.Placement(panel(tmp_path), at=(0, 2.7 / unit, -3 / unit))
+    found = lumitree.lamp_glare([lamp], (0, 1.2 / unit, 0), (0, 0, -7), 25, unit=unit)
+    assert found.luminance == pytest.approx([3194.4], rel=1e-3)
+    assert found.solid_angle == pytest.approx([0.014311], rel=1e-3)
+    assert found.position_index == pytest.approx([2.8601], rel=1e-3)
+    assert found.ugr == pytest.approx(18.013, abs=0.01)
+
+
+def test_ugr_of_several_lamps(mi, tmp_path):
+    """Sums over an array, lamps that are turned, scaled and dimmed, and one behind the eye."""
+    source = panel(tmp_path)
+    array = lumitree.Placement(source, (0.5, 2.7, -3), grid=(2, 2), pitch=(2, 2))
+    found = lumitree.lamp_glare([array], (0, 1.2, 0), (0, 0, -1), 25)
+    sums = 0.0
+    for x, ahead in ((-0.5, 4), (1.5, 4), (-0.5, 2), (1.5, 2)):
+        squared = x**2 + 1.5**2 + ahead**2
+        omega = 0.36 * 1.5 / squared**1.5
+        sums += 3194.4**2 * omega / position_index(x / ahead, 1.5 / ahead) ** 2
+    assert found.ugr == pytest.approx(8 * math.log10(0.25 / 25 * sums), abs=0.02)
+    # Towards the eye by a quarter of a turn; four times the area of equal intensity; half the flux.
+    lamp = lumitree.Placement(
+        source, (0, 1.2, -3), size=1.2, rotate=(1, 0, 0, -90), lumens=1150 * math.pi / 2
+    )
+    behind = lumitree.Placement(source, (0, 2.7, 3))
+    found = lumitree.lamp_glare([lamp, behind], (0, 1.2, 0), (0, 0, -1), 25)
+    assert found.luminance[0] == pytest.approx(3194.4 / 8, rel=5e-3)
+    assert found.position_index == pytest.approx([1, math.inf])
+    assert found.ugr == pytest.approx(
+        8 * math.log10(0.25 / 25 * (3194.4 / 8) ** 2 * 1.44 / 9), abs=0.03
+    )
+    assert math.isnan(lumitree.lamp_glare([behind], (0, 1.2, 0), (0, 0, -1), 25).ugr)
+    with pytest.raises(lumitree.LumitreeError, match="expected two different directions"):
+        lumitree.lamp_glare([lamp], (0, 1.2, 0), (0, 1, 0), 25)

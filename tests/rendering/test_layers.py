@@ -117,7 +117,7 @@ def test_mix_changes_the_light_of_one_layer(room, lamps, tmp_path):
     plain = lumitree.mix(path)
     assert (mixed.ev, mixed.white_balance) == (plain.ev, plain.white_balance)
     assert lumitree.mix(path, exposure="ev=0.25").ev == 0.25
-    with pytest.raises(LumitreeError, match="the image is not made of layers alone"):
+    with pytest.raises(LumitreeError, match="the image is not made of layers only"):
         lumitree.mix(layers | {"odd": layers["room"][1:]})
     with pytest.raises(LumitreeError, match=r"no layer 'hall'; it has lamp, room, room_2"):
         lumitree.mix(path, gain={"hall": 2})
@@ -132,10 +132,10 @@ def test_mix_changes_the_light_of_one_layer(room, lamps, tmp_path):
         dark.save_aov(path)
     with pytest.raises(LumitreeError, match=r"'a.png' does not end in \.exr"):
         result.save_layers("a.png")
-    with pytest.raises(LumitreeError, match="is not made of layers alone; expected"):
+    with pytest.raises(LumitreeError, match="is not made of layers only; expected"):
         lumitree.mix(image)
     render(room, spp=1, aov=True).save_aov(image)
-    with pytest.raises(LumitreeError, match="is not made of layers alone; expected"):
+    with pytest.raises(LumitreeError, match="is not made of layers only; expected"):
         lumitree.mix(image)
 
 

@@ -188,7 +188,7 @@ def test_bloom_keeps_the_light(shape):
     image[0, 3] = image[20, 10] = 10.0
     shown = bloomed(image, 0.2)
     assert shown.sum(axis=(0, 1)) == pytest.approx(image.sum(axis=(0, 1)), rel=1e-9)
-    assert shown[20, 10, 0] < 9.5
+    assert shown[20, 10, 0] < 9.9
     assert shown[20, 12, 0] > image[20, 12, 0]
     assert np.array_equal(bloomed(image, 0), image)
     # Uniform light is not changed.

@@ -88,7 +88,9 @@ def test_an_interrupted_image_continues(rendered):
     expected = seeds.copy()
     seeds.clear()
     interrupted(rendered, 4)
-    again = render()
+    reports: list[lumitree.Progress] = []
+    again = render(progress=reports.append)
+    assert reports[-1].task == "render, continued after 8 samples per pixel"
     assert seeds == expected[4:]
     assert again.spp == SAMPLES
     assert again.noise == pytest.approx(whole.noise, rel=1e-3)
@@ -185,12 +187,16 @@ def test_what_is_no_state_of_this_image_is_not_continued(rendered, kept_work, ch
     assert len(rendered[0]) == found.spp // 2 == options.get("samples", SAMPLES) // 2
 
 
-def test_images_of_a_short_time_leave_nothing(rendered, monkeypatch):
+def test_images_of_a_short_time_leave_nothing(rendered, monkeypatch, capsys):
     """The limit is raised from half a minute, which these images may take on a busy machine."""
     monkeypatch.setattr(passes, "_WORTH_SAVING", 1e6)
     monkeypatch.setattr(checkpoint, "_SECONDS", 1e6)
     interrupted(rendered, 4)
     assert not Path("work").exists()
+    rendered[1][0] = 4
+    command = ["render", "room.xml", "-o", "a.png", "--place", "lamp.lumitree", "--spp", "12"]
+    assert main(command) == 130
+    assert capsys.readouterr().err.endswith("the same command begins as this one did\n")
 
 
 @pytest.mark.slow
@@ -199,6 +205,7 @@ def test_the_command_removes_what_it_kept(rendered, capsys):
     seeds, stop_at = rendered
     stop_at[0] = 4
     assert main(command) == 130
+    assert capsys.readouterr().err.endswith("interrupted; the same command continues\n")
     assert Path("image.png.work/passes.npz").exists()
     assert not Path("image.png").exists()
     stop_at[0] = -1

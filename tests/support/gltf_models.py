@@ -1,4 +1,4 @@
-"""A small glTF model that uses everything, and one with a sparse accessor."""
+"""Small glTF models: one that uses everything, a sparse accessor, a light, instances."""
 
 import numpy as np
 
@@ -11,6 +11,29 @@ def sparse(count=1, at=(2,), **change):
     new = {"bufferView": made.view(np.full((len(at), 3), 7, np.float32).tobytes())}
     index = made.accessor(QUAD, sparse={"count": count, "indices": where, "values": new} | change)
     made.node(made.primitive(QUAD, QUAD_FACES) | {"attributes": {"POSITION": index}})
+    return made
+
+
+def lit(light, **node):
+    """A quad, and a node with a light."""
+    made = Gltf()
+    made.quad()
+    made.json["extensions"] = {"KHR_lights_punctual": {"lights": [light]}}
+    made.node(extensions={"KHR_lights_punctual": {"light": 0}}, **node)
+    return made
+
+
+def instanced(required=False, **attributes):
+    """Instances of a quad at (0, 10, 0), by arrays of their attributes."""
+    made, name = Gltf(), "EXT_mesh_gpu_instancing"
+    indices = {
+        key: made.accessor(values, **({"normalized": True} if values.dtype.kind == "i" else {}))
+        for key, values in attributes.items()
+    }
+    made.quad(translation=[0, 10, 0], extensions={name: {"attributes": indices}})
+    made.json["extensionsUsed"] = [name]
+    if required:
+        made.json["extensionsRequired"] = [name]
     return made
 
 

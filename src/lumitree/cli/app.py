@@ -21,6 +21,7 @@ from lumitree.cli.signatures import OUTPUTS, with_signature
 from lumitree.core.backend import quieten
 from lumitree.core.files import remove_abandoned_scratch
 from lumitree.core.interruption import (
+    STATE_IS_KEPT,
     deferred_interrupt,
     ignore_signals,
     interruptible,
@@ -67,6 +68,7 @@ def _print_all_characters() -> None:
 def _run(arguments: list[str]) -> int:
     """Run one command; returns the exit status. A signal after its work has no effect."""
     quieten()
+    STATE_IS_KEPT.clear()
     with warnings.catch_warnings():
         warnings.showwarning = _show_warning
         warnings.simplefilter("always", LumitreeWarning)
@@ -224,7 +226,10 @@ def _explain(error: BaseException) -> int:
     """Print an error in one line; returns the exit status."""
     interrupted = interruption_behind(error)
     if interrupted is not None:
-        done = str(interrupted) or "the same command continues where that is possible"
+        remains = "nothing of this run is kept; the same command begins as this one did"
+        if STATE_IS_KEPT.is_set():
+            remains = "the same command continues"
+        done = str(interrupted) or remains
         return _fail(f"interrupted; {done}", 128 + interrupted.number)
     if os.environ.get(DEBUG):
         raise error

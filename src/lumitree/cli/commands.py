@@ -8,6 +8,7 @@ import contextlib
 import dataclasses
 import glob
 import json
+import math
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -384,7 +385,6 @@ def _show_evaluation(result: Any, _: Given) -> None:
 def _render(given: Given) -> Any:
     from lumitree.core.arguments import check_sheet_output
     from lumitree.core.backend import load_rgb
-    from lumitree.core.results import plain
     from lumitree.rendering.render_job import forget_passes
 
     given = dict(given)
@@ -410,25 +410,29 @@ def _render(given: Given) -> Any:
     if "work" not in given:
         forget_passes(kept["work"])
     if glare:
-        files["glare"] = plain(_glare(given, places, result))
-    return image_report(result, output) | files
+        files["glare"] = _glare(given, places, result)
+    layers = {"layers": sorted(result.layers) or None, "layers_file": files.pop("layers")}
+    return image_report(result, output) | layers | files
 
 
-def _glare(given: Given, places: list[Any], result: Any) -> Any:
-    """Glare of an image, with the illuminance at the camera."""
+def _glare(given: Given, places: list[Any], result: Any) -> Given:
+    """Glare of an image and of its lamps, with the illuminance at the camera."""
     import lumitree
+    from lumitree.core.results import plain
 
-    if result.camera is None:
-        return lumitree.glare(result, 0)
+    camera = result.camera
+    if camera is None:
+        return plain(lumitree.glare(result, 0))
+    options = {"unit": given.get("unit", "m"), "variant": given.get("variant")}
     eye = lumitree.illuminance(
-        given["scene"],
-        places,
-        points=[result.camera.origin],
-        normals=[result.camera.direction],
-        unit=given.get("unit", "m"),
-        variant=given.get("variant"),
+        given["scene"], places, points=[camera.origin], normals=[camera.direction], **options
     )
-    return lumitree.glare(result, float(eye.total[0]))
+    background = float(eye.total[0] - eye.direct[0]) / math.pi
+    lamps = lumitree.lamp_glare(
+        places, camera.origin, camera.direction, background, up=camera.up, **options
+    )
+    of_image = lumitree.glare(result, float(eye.total[0]))
+    return plain(of_image) | {"ugr_of_lamps": plain(lamps.ugr)}
 
 
 def _show_image(result: Given, given: Given) -> None:
@@ -646,7 +650,10 @@ COMMANDS: dict[str, Command] = {
                 "Also write the luminance in false colours, .png, with a legend in cd/m²."
             ),
             "glare": Option(
-                bool, "Also compute the glare of the view: UGR, and DGP for daylight.", False
+                bool,
+                "Also compute the glare of the view: UGR of the image and of the lamps, and DGP "
+                "for daylight.",
+                False,
             ),
             "work": _file(
                 "Folder for the passes so far, which is kept. Default: the name of the image "

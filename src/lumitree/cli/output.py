@@ -73,12 +73,12 @@ def print_report(report: dict[str, Any]) -> None:
             # An asset without a field says nothing of one.
             unused = _OF_FIELD if value.get("leaves") == 0 else ()
             flat |= {
-                key: _megabytes(item) if key.endswith("_bytes") else _rounded(item)
+                key: _shown_value(key, item)
                 for key, item in value.items()
                 if item is not None and key not in unused
             }
         elif value is not None:
-            flat[name.replace("_", " ")] = _rounded(value)
+            flat[name.replace("_", " ")] = _shown_value(name, value)
     print_lines(flat)
 
 
@@ -162,6 +162,15 @@ def _with_error(values: dict[str, float | None], name: str) -> str:
 
 def _megabytes(value: int) -> str:
     return f"{value / 1e6:.1f} MB"
+
+
+def _shown_value(name: str, value: Any) -> Any:
+    """A figure by its name: bytes in megabytes, noise in per cent."""
+    if name.endswith("_bytes"):
+        return _megabytes(value)
+    if name == "noise" or name.endswith("_noise"):
+        return f"{100 * value:.2g} %"
+    return _rounded(value)
 
 
 def _rounded(value: Any) -> Any:

@@ -6,8 +6,8 @@ Symbols
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterable
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -25,7 +25,7 @@ class AliasTable:
     probability 0, and the probabilities follow from the rounded thresholds.
 
     Args:
-        weights: arrays [.., N] of all rows, at least 0, with a positive sum in each row.
+        weights: arrays [M, N] of all rows, M each, at least 0, with a positive sum in each row.
             Probabilities are proportional to them but for the rounding.
         parts: number of rows, and N, of each part.
     """
@@ -36,15 +36,18 @@ class AliasTable:
         sizes = [rows * count for rows, count in parts]
         words = np.empty((sum(sizes), 2), np.uint32)
         first = 0
-        for weight in itertools.chain.from_iterable(weights):
-            count = len(weight)
-            threshold, alias = alias_row(weight)
+        for block in weights:
+            rows, count = block.shape
+            threshold, alias = alias_rows(block)
             rounded = np.clip(np.ceil(threshold * steps), 1, steps)
-            pmf = rounded / steps + np.bincount(alias, 1 - rounded / steps, count)
-            row = words[first : first + count]
-            row[:, 0] = (rounded.astype(np.uint64) - 1 << bits) | alias.astype(np.uint64)
+            places = (count * np.arange(rows)[:, None] + alias).ravel()
+            others = np.bincount(places, (1 - rounded / steps).ravel(), block.size)
+            pmf = (rounded / steps).ravel() + others
+            row = words[first : first + block.size]
+            word = (rounded.astype(np.uint64) - 1 << bits) | alias.astype(np.uint64)
+            row[:, 0] = word.ravel()
             row[:, 1] = (pmf / count).astype(np.float32).view(np.uint32)
-            first += count
+            first += block.size
         self._words = on_device(mi.UInt32, words)
         starts = np.cumsum([0, *sizes[:-1]])
         self._parts = on_device(
@@ -90,28 +93,55 @@ class AliasTable:
         return found.x + row * found.y, found.y
 
 
-def alias_row(weights: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Thresholds [N] in [0, 1] and aliases [N] of one distribution.
+def alias_rows(weights: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Thresholds [M, N] in [0, 1] and aliases [M, N] of distributions, one a row.
 
-    Entry i stands for i with probability threshold[i], else for alias[i]. Entries with q < 1 are
-    filled by entries with q >= 1, both in order. So which one fills which follows from cumulated
-    sums of 1 - q and of q - 1.
+    Entry i of a row stands for i with probability threshold[i], else for alias[i]. Entries with
+    q < 1 are filled by entries with q >= 1, both in order. So which one fills which follows from
+    cumulated sums of 1 - q and of q - 1.
     """
-    q = weights * (len(weights) / weights.sum())
-    light, heavy = np.flatnonzero(q < 1), np.flatnonzero(q >= 1)
-    threshold, alias = np.minimum(q, 1), np.arange(len(q))
-    if not (len(light) and len(heavy)):
-        # Equal weights, perhaps but for rounding.
-        return np.ones_like(q), alias
-    lacking, spare = np.cumsum(1 - q[light]), np.cumsum(q[heavy] - 1)
-    last = len(heavy) - 1
+    size = weights.shape[1]
+    q = weights * (size / weights.sum(axis=1, keepdims=True))
+    heavy = q >= 1
+    lacking = np.cumsum(np.where(heavy, 0, 1 - q), axis=1)
+    spare = np.cumsum(np.where(heavy, q - 1, 0), axis=1)
+    # Light and heavy entries in order, and how many are among the first entries of a row.
+    lights, heavies = (np.argsort(each, axis=1, kind="stable") for each in (heavy, ~heavy))
+    num_light, num_heavy = (np.cumsum(_behind_0(each), axis=1) for each in (~heavy, heavy))
+    last = num_heavy[:, -1:] - 1
     # The first heavy entry that has something to spare when a light one's turn comes.
-    before = np.concatenate([[0], lacking[:-1]])
-    alias[light] = heavy[np.minimum(np.searchsorted(spare, before), last)]
+    before = _behind_0(lacking)[:, :-1]
+    below, _ = _merged(before, spare)
+    filler = np.minimum(np.take_along_axis(num_heavy, below, axis=1), last)
     # A heavy entry fills light ones until it has not enough; the next heavy one fills that one.
-    ended = np.searchsorted(lacking, spare, side="right")
-    exhausted = (ended < len(light)) & (np.arange(len(heavy)) < last)
-    which = np.flatnonzero(exhausted)
-    threshold[heavy[which]] = np.clip(1 + spare[which] - lacking[ended[which]], 0, 1)
-    alias[heavy[which]] = heavy[which + 1]
-    return threshold, alias
+    ended = np.take_along_axis(num_light, _merged(lacking, spare)[1], axis=1)
+    number = num_heavy[:, 1:]
+    exhausted = heavy & (ended < num_light[:, -1:]) & (number <= last)
+    ends = np.take_along_axis(lights, np.minimum(ended, size - 1), axis=1)
+    left = np.clip(1 + spare - np.take_along_axis(lacking, ends, axis=1), 0, 1)
+    threshold = np.where(exhausted, left, np.minimum(q, 1))
+    following = np.where(heavy, np.minimum(number, size - 1), filler)
+    alias = np.take_along_axis(heavies, following, axis=1)
+    alias = np.where(exhausted | ~heavy, alias, np.arange(size))
+    # Equal weights, perhaps but for rounding.
+    equal = (last < 0) | (num_light[:, -1:] == 0)
+    return np.where(equal, 1.0, threshold), np.where(equal, np.arange(size), alias)
+
+
+def _behind_0(rows: NDArray[Any]) -> NDArray[Any]:
+    """Rows that begin with another entry of 0."""
+    return np.pad(rows, ((0, 0), (1, 0)))
+
+
+def _merged(
+    first: NDArray[np.float64], second: NDArray[np.float64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """How many entries of the other row are before each, for rows [M, N] in increasing order.
+
+    The first row's entries are before equal ones of the second.
+    """
+    size = first.shape[1]
+    order = np.argsort(np.concatenate([first, second], axis=1), axis=1, kind="stable")
+    place = np.empty_like(order)
+    np.put_along_axis(place, order, np.broadcast_to(np.arange(2 * size), order.shape), axis=1)
+    return place[:, :size] - np.arange(size), place[:, size:] - np.arange(size)

@@ -15,6 +15,7 @@ import numpy as np
 
 from lumitree._version import __version__
 from lumitree.core.files import WriteError, atomic_path
+from lumitree.core.interruption import STATE_IS_KEPT
 from lumitree.core.reading import Arrays, parse_json, read_arrays
 from lumitree.core.tables import Table, check_table
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
@@ -68,6 +69,7 @@ class Checkpoint:
                 f"{shown(self._path.parent, 300)} has an unfinished {self._job} with other inputs "
                 f"({', '.join(changed[:_NAMED])}{more}); remove it, or choose another folder"
             )
+        STATE_IS_KEPT.set()
         return arrays
 
     def save(self, arrays: Arrays) -> None:
@@ -80,6 +82,7 @@ class Checkpoint:
         text = np.array(json.dumps(self._fingerprint, sort_keys=True))
         with atomic_path(self._path) as temporary, open(temporary, "wb") as file:
             np.savez(file, **{_FINGERPRINT: text, **arrays})  # type: ignore[arg-type]
+        STATE_IS_KEPT.set()
         now = time.monotonic()
         self._next = now + max(_SECONDS, (now - start) / _MOST_TIME)
 

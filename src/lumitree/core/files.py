@@ -183,17 +183,21 @@ def atomic_path(path: FilePath) -> Iterator[Path]:
 def atomic_files(output: Path) -> Iterator[Path]:
     """Yield a temporary folder; move its files beside `output` if the block succeeds.
 
-    Each is written as by `atomic_path`, and the file with the name of `output` last: while it is
-    missing, so may others be.
+    Folders in it are made if they are missing. Each file is written as by `atomic_path`, and the
+    file with the name of `output` last: while it is missing, so may others be.
 
     Raises:
         WriteError: a file cannot be written, or the disk is full.
     """
     with _written_beside(output) as files:
         yield files
-        others = [each for each in sorted(files.iterdir()) if each.name != output.name]
-        for each in (*others, files / output.name):
-            with atomic_path(output.parent / each.name) as temporary:
+        main = files / output.name
+        for each in sorted(files.rglob("*"), key=lambda each: (each == main, each)):
+            place = output.parent / each.relative_to(files)
+            if each.is_dir():
+                place.mkdir(exist_ok=True)
+                continue
+            with atomic_path(place) as temporary:
                 shutil.copyfile(each, temporary)
 
 

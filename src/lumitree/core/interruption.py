@@ -41,6 +41,9 @@ STOP_SIGNALS = tuple(each for each in (signal.SIGINT, _TERMINATE, _SIGHUP) if ea
 # File name of the frames that import a module.
 _IMPORTS = "<frozen importlib._bootstrap>"
 
+# Set once a job has a state on the disk from which the same call continues.
+STATE_IS_KEPT = threading.Event()
+
 _Handler = Callable[[int, FrameType | None], None]
 
 # Blocks of `interruptible` that the main thread is in, and the signal that they have received.

@@ -89,10 +89,10 @@ def export(
       so that cameras and mirrors show it, and neither illuminates nor casts shadows. All are
       children of one empty, whose transform and property "gain" apply to the lamp.
     * `.blend`: the file that this script makes.
-    * `.rad`: a scene of Radiance, with function and data files beside it.
-    * `.pbrt`: a scene of pbrt-v4 to include, with images beside it.
+    * `.rad`: a scene of Radiance, with a folder of function and data files.
+    * `.pbrt`: a scene of pbrt-v4 to include, with a folder of images.
     * `.usda`: a layer of OpenUSD with the lights. The surfaces, the images, and an IES profile for
-      each light are files beside it. It needs the package `usd-core` (the extra `usd`).
+      each light are in a folder. It needs the package `usd-core` (the extra `usd`).
     * `.usdz`: the same as one package, in which lights have no profiles.
     * `.glb`: binary glTF, with lights of EXT_lights_ies and KHR_lights_punctual.
     * a folder, that is a name without a suffix or with a slash at its end: an IES file for each
@@ -101,8 +101,8 @@ def export(
     Args:
         asset: an asset, or the path of a `.lumitree` file, a photometric file or a ray file. It
             needs a light field.
-        output: path of the file to write, beside which other files have names derived from it; or
-            of a folder that is new or empty.
+        output: path of the file to write, whose further files are in the folder NAME_files beside
+            it; or of a folder that is new or empty.
         lights: largest number of point lights, 1 to 1,024.
         unit: unit of length of the luminaire's Mitsuba scene: "m", "cm", "mm", "in", "ft", or the
             metres in a unit. Models and photometric files are in metres once they are baked.
@@ -158,7 +158,7 @@ def export(
     writing = atomic_folder if target.is_folder else atomic_files
     with watch.stage("write"), writing(output) as folder:
         written = target.write(request, folder)
-        names = sorted(each.name for each in folder.iterdir())
+        names = sorted(each.relative_to(folder) for each in folder.rglob("*") if each.is_file())
     files = [(output if target.is_folder else output.parent) / name for name in names]
     lost = written.not_carried_over
     if near is not given:

@@ -213,22 +213,21 @@ def converted(material: Material) -> PbrMaterial:
                 diffuse_transmission=layer(material.diff_trans, 0.0),
             )
         case MetallicRoughness():
-            thin = bool(material.thin)
             found = PbrMaterial(
-                layer(material.base_color, 0.5),
-                metallic=layer(material.metallic, 0.0),
-                roughness=layer(material.roughness, 0.5),
-                anisotropy=layer(material.anisotropic, 0.0),
+                layer(material.base_color),
+                metallic=layer(material.metallic),
+                roughness=layer(material.roughness),
+                anisotropy=layer(material.anisotropic),
                 ggx=True,
-                index=1.5 if material.eta is None else material.eta,
+                index=material.eta,
                 specular=layer(material.specular),
-                transmission=layer(material.spec_trans, 0.0),
-                thin=thin,
-                two_sided=thin,
-                diffuse_transmission=layer(material.diff_trans, 0.0),
-                clearcoat=layer(material.clearcoat, 0.0),
-                clearcoat_roughness=layer(material.clearcoat_roughness, 0.0),
-                sheen=layer(material.sheen, 0.0),
+                transmission=layer(material.spec_trans),
+                thin=material.thin,
+                two_sided=material.thin,
+                diffuse_transmission=layer(material.diff_trans),
+                clearcoat=layer(material.clearcoat),
+                clearcoat_roughness=layer(material.clearcoat_roughness),
+                sheen=layer(material.sheen),
             )
         case _:
             raise AssertionError(f"{material.plugin} has nested materials")

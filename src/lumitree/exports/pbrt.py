@@ -98,10 +98,11 @@ def _write(request: ExportRequest, folder: Path) -> Written:
     lights = request.place("y")
     images, luminaire, count = _Images(lights), request.asset.luminaire, len(lights.position)
     lines = list(_heading(luminaire, count))
+    (folder / request.side_folder).mkdir()
     with progress(f"images of {luminaire}", count) as advance:
         for index, position in enumerate(lights.position.tolist()):
             for number, image in enumerate(images.of(index)):
-                name = f"{request.stem}.{index}.{number}.exr"
+                name = f"{request.side_folder}/{index}.{number}.exr"
                 write_exr(folder / name, {"Y": image.watts.astype(np.float32)})
                 lines += _light(position, image.colour.tolist(), name)
             advance(1)

@@ -73,13 +73,13 @@ def radiance_intensity(intensity: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _write(request: ExportRequest, folder: Path) -> Written:
     lights = request.place("z")
-    # Radiance separates words by spaces, and looks for files by their names only.
-    stem = request.stem
-    (folder / f"{stem}.cal").write_text(_map(lights), encoding="ascii", newline="\n")
+    side = folder / request.side_folder
+    side.mkdir()
+    (side / "light.cal").write_text(_map(lights), encoding="ascii", newline="\n")
     for channel, name in enumerate("rgb"):
-        with open(folder / f"{stem}.{name}.dat", "w", encoding="ascii", newline="\n") as file:
+        with open(side / f"{name}.dat", "w", encoding="ascii", newline="\n") as file:
             _write_table(file, lights, channel)
-    scene = "".join(f"{line}\n" for line in _scene(request.asset.luminaire, stem, lights))
+    scene = "".join(f"{line}\n" for line in _scene(request, lights))
     (folder / request.name).write_text(scene, encoding="utf-8", newline="\n")
     return Written(not_carried_over=_LOST, lights=len(lights.position))
 
@@ -107,17 +107,20 @@ def _write_table(file: TextIO, lights: PlacedLights, channel: int) -> None:
         np.savetxt(file, bordered(values, 1), fmt="%.6g")
 
 
-def _scene(luminaire: str, stem: str, lights: PlacedLights) -> Iterator[str]:
+def _scene(request: ExportRequest, lights: PlacedLights) -> Iterator[str]:
+    # Radiance separates words by spaces, and looks for files from the folder of its program on.
+    stem, side = request.stem, request.side_folder
     radius = _RADIUS * lights.scale
     radiance = f"{1 / (np.pi * radius**2):.9g}"
-    yield f"# {shown(luminaire)}: {len(lights.position)} point lights, written by lumitree."
-    yield "# Lengths in metres, z up. Keep the files of this name together, and run Radiance's"
-    yield "# programs in their folder, or name it in RAYPATH. To move the lamp: !xform."
+    name = shown(request.asset.luminaire)
+    yield f"# {name}: {len(lights.position)} point lights, written by lumitree."
+    yield "# Lengths in metres, z up. Keep it beside the folder of its tables, and run Radiance's"
+    yield "# programs there, or name the place in RAYPATH. To move the lamp: !xform."
     for index, (x, y, z) in enumerate(lights.position.tolist()):
         yield ""
         yield f"void colordata {stem}_table_{index}"
-        yield f"10 red green blue {stem}.r.dat {stem}.g.dat {stem}.b.dat"
-        yield f"   {stem}.cal light_number row column"
+        yield f"10 red green blue {side}/r.dat {side}/g.dat {side}/b.dat"
+        yield f"   {side}/light.cal light_number row column"
         yield f"0\n1 {index}"
         yield f"{stem}_table_{index} illum {stem}_light_{index}"
         yield f"0\n0\n3 {radiance} {radiance} {radiance}"

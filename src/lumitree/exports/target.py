@@ -29,7 +29,7 @@ class ExportRequest:
         up: the axis that points up in the luminaire's file.
         blender: the program that the user named to run scripts of Blender, or None.
         importer: the program that reads the file, if it needs other values than the format's.
-        name: file name of the output, without folders; other files have names derived from it.
+        name: file name of the output, without folders.
     """
 
     asset: Asset
@@ -42,7 +42,7 @@ class ExportRequest:
 
     @property
     def stem(self) -> str:
-        """The name without its suffix, of letters, digits, `_`, `.` and `-`, for other files.
+        """The name without its suffix, of letters, digits, `_`, `.` and `-`.
 
         Where others are replaced, with a digest: two names do not become one.
         """
@@ -51,6 +51,11 @@ class ExportRequest:
         if plain == stem:
             return stem
         return f"{plain}-{hashlib.sha256(os.fsencode(stem)).hexdigest()[:8]}"
+
+    @property
+    def side_folder(self) -> str:
+        """Name of the folder of all other files, beside the output."""
+        return f"{self.stem}_files"
 
     def place(self, up: Up) -> PlacedLights:
         """The point lights in a frame with this axis up."""
@@ -74,7 +79,8 @@ class Target:
     Attributes:
         name: of the program or the format.
         write: writes all files into an empty folder. The file with the name `ExportRequest.name`
-            is the one to open; a target that is a folder writes files of any names.
+            is the one to open, and others are in `ExportRequest.side_folder`; a target that is a
+            folder writes files of any names.
         up: the axis that points up.
         units: one line: the units of lengths and of light.
         note: of other properties of its frame.

@@ -79,7 +79,8 @@ class LampStage:
     def __init__(
         self, request: ExportRequest, folder: Path, name: str, units: str = _UNITS
     ) -> None:
-        self._pxr, self._folder, self._name, self._stem = load_usd(), folder, name, request.stem
+        self._pxr, self._folder, self._name = load_usd(), folder, name
+        self._side = folder / request.side_folder
         self._asset, self._luminaire = (
             request.asset,
             shown(request.asset.luminaire, _NAME_CHARACTERS),
@@ -98,18 +99,20 @@ class LampStage:
         """Write one layer with UsdPreviewSurface only and lights without profiles; or a layer of
         the surfaces, and one of the lights, with profiles, that refers to it.
         """
+        if not one_layer:
+            self._side.mkdir()
         stage = self._new_stage(self._name)
         if surfaces and one_layer:
             self._add_surfaces(stage, surfaces, materialx=False)
         elif surfaces:
-            file = f"{self._stem}.surfaces.usdc"
+            file = f"{self._side.name}/surfaces.usdc"
             layer = self._new_stage(file)
             self._add_surfaces(layer, surfaces, materialx=True)
             layer.GetRootLayer().Save()
             stage.GetDefaultPrim().GetReferences().AddReference(f"./{file}")
         self._pxr.UsdGeom.Xform.Define(stage, f"{self._root}/lights")
         for index, light in enumerate(lights):
-            profile = None if one_layer else self._folder / f"{self._stem}.light{index}.ies"
+            profile = None if one_layer else self._side / f"light{index}.ies"
             self._add_light(stage, index, light, profile)
         self._describe(stage)
         stage.GetRootLayer().Save()
@@ -138,9 +141,7 @@ class LampStage:
         assert self._asset.geometry is not None
         images = PbrImages(self._asset.geometry.images)
         parent = f"{self._root}/materials"
-        materials = MaterialWriter(
-            self._pxr, stage, parent, images, self._stem, materialx=materialx
-        )
+        materials = MaterialWriter(self._pxr, stage, parent, images, materialx=materialx)
         self._pxr.UsdGeom.Scope.Define(stage, parent)
         self._pxr.UsdGeom.Xform.Define(stage, f"{self._root}/surfaces")
         for index, surface in enumerate(surfaces):
@@ -155,7 +156,8 @@ class LampStage:
             with glow.GetVariantEditContext():
                 materials.add_emission()
         for name, content in images.files.items():
-            (self._folder / f"{self._stem}.{name}.png").write_bytes(content)
+            # MaterialX is in the layer of the surfaces.
+            ((self._side if materialx else self._folder) / f"{name}.png").write_bytes(content)
         self.lost |= materials.lost
 
     def _mesh(self, stage: Any, path: str, surface: Surface) -> Any:
@@ -212,7 +214,9 @@ class LampStage:
         if profile is not None:
             profile.write_bytes(ies_content(light.profile))
             shaping = lux.ShapingAPI.Apply(prim.GetPrim())
-            shaping.CreateShapingIesFileAttr(self._pxr.Sdf.AssetPath(f"./{profile.name}"))
+            shaping.CreateShapingIesFileAttr(
+                self._pxr.Sdf.AssetPath(f"./{self._side.name}/{profile.name}")
+            )
             shaping.CreateShapingIesNormalizeAttr(False)
             shaping.CreateShapingIesAngleScaleAttr(0.0)
             shaping.CreateShapingConeAngleAttr(_ALL_DIRECTIONS)

@@ -25,7 +25,7 @@ class MaterialWriter:
     Args:
         pxr, stage: the library (`load_usd`), and a stage of it.
         parent: path of the materials.
-        images: files of textures; each is beside the stage, with `stem` before its name.
+        images: files of textures; each is beside the stage.
         materialx: whether materials have a `standard_surface` too, where it is short.
 
     Attributes:
@@ -33,9 +33,9 @@ class MaterialWriter:
     """
 
     def __init__(
-        self, pxr: Any, stage: Any, parent: str, images: PbrImages, stem: str, *, materialx: bool
+        self, pxr: Any, stage: Any, parent: str, images: PbrImages, *, materialx: bool
     ) -> None:
-        self.pxr, self.stage, self.images, self.stem = pxr, stage, images, stem
+        self.pxr, self.stage, self.images = pxr, stage, images
         self._parent, self._materialx = parent, materialx
         self._previews: list[_Shader] = []
         self._standards: list[_Shader] = []
@@ -166,7 +166,7 @@ class _Shader:
         if texture.filter_type == "nearest":
             self._writer.lost.add("images without interpolation are interpolated")
         node = self._node(name, "UsdUVTexture")
-        path = self._pxr.Sdf.AssetPath(f"./{self._writer.stem}.{file}.png")
+        path = self._pxr.Sdf.AssetPath(f"./{file}.png")
         node.CreateInput("file", self._types.Asset).Set(path)
         node.CreateInput("sourceColorSpace", self._types.Token).Set(space)
         for axis in ("wrapS", "wrapT"):

@@ -23,7 +23,7 @@ from lumitree.core.files import (
     check_writable,
     scratch_folder,
 )
-from lumitree.core.interruption import Interrupted
+from lumitree.core.interruption import STATE_IS_KEPT, Interrupted
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.results import Stopwatch, peak_memory_bytes
 from lumitree.core.seeds import check_seed
@@ -144,8 +144,11 @@ def capture(
                 split=split,
                 workers=workers,
             )
-        except WriteError as error:
+        except (WriteError, KeyboardInterrupt) as error:
             if not (Path(output) / MANIFEST).exists():
+                raise
+            STATE_IS_KEPT.set()
+            if isinstance(error, KeyboardInterrupt):
                 raise
             raise LumitreeError(f"{error}; the same command continues the capture") from error
     return CaptureResult(

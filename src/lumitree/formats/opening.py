@@ -106,6 +106,15 @@ class Opening:
             name = flat if self.axis == 1 else f"disk that faces {('C0', '', 'C90')[self.axis]}"
         return f"{name}, {x:.4g} x {z:.4g} x {up:.4g} m (C0, C90, up)"
 
+    def scaled(self, factor: float) -> "Opening":
+        """The opening with all lengths times a factor."""
+        x, up, z = (factor * side for side in self.sides)
+        heights = None
+        if self.heights is not None:
+            c0, c90, c180, c270 = (factor * height for height in self.heights)
+            heights = (c0, c90, c180, c270)
+        return dataclasses.replace(self, sides=(x, up, z), heights=heights)
+
     @property
     def is_flat(self) -> bool:
         """Whether it has no volume: a surface, a line or a point."""

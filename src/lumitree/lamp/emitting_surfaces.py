@@ -27,7 +27,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.alias_table import alias_row
+from lumitree.core.alias_table import alias_rows
 from lumitree.core.device import on_device, parameter
 from lumitree.core.mitsuba_meshes import mesh_triangles
 from lumitree.lamp.scene_shapes import referred
@@ -121,7 +121,8 @@ class EmittingSurfaces:
         weight = area * (mean + _AROUND * np.concatenate(around) + floor[shape_of])
         self.power = float(power.sum())
         # Black shapes are sampled too, and what they emit is 0.
-        threshold, alias = alias_row(weight if weight.sum() > 0 else area)
+        used = weight if weight.sum() > 0 else area
+        threshold, alias = (each[0] for each in alias_rows(used[None]))
         threshold = threshold.astype(np.float32).astype(np.float64)
         pmf = (threshold + np.bincount(alias, 1 - threshold, len(area))) / len(area)
         density = np.divide(pmf, area, out=np.zeros_like(pmf), where=area > 0)

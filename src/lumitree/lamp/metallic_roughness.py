@@ -86,11 +86,11 @@ def reflection_albedo() -> Floats:
     microfacets reflect f0 at normal incidence with an albedo of f0 times the first plus the second.
     """
 
-    def reflected(alpha: float, cosine: float) -> tuple[float, float]:
+    def reflected(alpha: float, cosine: Floats) -> tuple[Floats, Floats]:
         normal, facing = _visible_normals(alpha, cosine)
         weight = _unshadowed(alpha, 2 * facing * normal - cosine)
         tinted = weight * (1 - facing) ** 5
-        return float((weight - tinted).mean()), float(tinted.mean())
+        return (weight - tinted).mean(axis=1), tinted.mean(axis=1)
 
     return _tabulated(reflected)
 
@@ -102,13 +102,13 @@ def glass_albedo(ior: float) -> tuple[Floats, float]:
     from inside. `ior` is inside over outside, above 1.
     """
 
-    def side(eta: float, alpha: float, cosine: float) -> tuple[float, float]:
+    def side(eta: float, alpha: float, cosine: Floats) -> tuple[Floats, Floats]:
         normal, facing = _visible_normals(alpha, cosine)
         part, refracted = _fresnel(facing, eta)
         mirrored = part * _unshadowed(alpha, 2 * facing * normal - cosine)
         through = (refracted - facing / eta) * normal + cosine / eta
         crossed = (1 - part) * _unshadowed(alpha, through)
-        return float(mirrored.mean()), float((mirrored + crossed).mean())
+        return mirrored.mean(axis=1), (mirrored + crossed).mean(axis=1)
 
     sides = [_tabulated(functools.partial(side, eta)) for eta in (ior, 1 / ior)]
     cosines = (np.arange(4096) + 0.5) / 4096
@@ -129,15 +129,11 @@ def hemisphere_mean(table: Floats) -> Floats:
     return np.einsum("...kc,k->...c", table, weight)
 
 
-def _tabulated(values: Callable[[float, float], tuple[float, float]]) -> Floats:
-    """[SIZE, SIZE, 2] values for an alpha and a cosine."""
-    roughness, cosines = np.linspace(0, 1, SIZE), np.linspace(0, 1, SIZE) ** 2
-    return np.array(
-        [
-            [values(max(rough**2, MIN_ALPHA), max(cosine, _MIN_COSINE)) for cosine in cosines]
-            for rough in roughness
-        ]
-    )
+def _tabulated(values: Callable[[float, Floats], tuple[Floats, Floats]]) -> Floats:
+    """[SIZE, SIZE, 2] values for an alpha and cosines [SIZE, 1]."""
+    cosines = np.maximum(np.linspace(0, 1, SIZE) ** 2, _MIN_COSINE)[:, None]
+    alphas = np.maximum(np.linspace(0, 1, SIZE) ** 2, MIN_ALPHA).tolist()
+    return np.stack([np.stack(values(alpha, cosines), axis=1) for alpha in alphas])
 
 
 @functools.cache
@@ -147,8 +143,10 @@ def _unit_disk() -> tuple[Floats, Floats]:
     return np.sqrt((index + 0.5) / _SAMPLES), 2 * np.pi * (index * 0.6180339887498949 % 1)
 
 
-def _visible_normals(alpha: float, cosine: float) -> tuple[Floats, Floats]:
+def _visible_normals(alpha: float, cosine: Floats) -> tuple[Floats, Floats]:
     """Cosines of normals with the surface's normal, and with the direction that sees them.
+
+    The cosine of the direction [C, 1] gives [C, N] of N normals each.
 
     Heitz (2018), "Sampling the GGX Distribution of Visible Normals"; the direction is in the plane
     of x and z.

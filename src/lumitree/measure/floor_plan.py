@@ -14,7 +14,6 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
 
 from lumitree.asset.geometry import MeshShape
 from lumitree.core.device import on_device
@@ -91,4 +90,6 @@ def _outline(lamp: PlacedLuminaire, axes: NDArray[np.float64]) -> NDArray[np.flo
         points = _CORNERS
     flat = (points @ matrix[:3, :3].T + matrix[:3, 3]) @ axes.T
     # Joggled: a flat lamp that is seen from its edge has no area.
+    from scipy.spatial import ConvexHull
+
     return flat[ConvexHull(flat, qhull_options="QJ").vertices]

@@ -1,26 +1,36 @@
-"""Glare of a view: Unified Glare Rating (CIE 117) and Daylight Glare Probability."""
+"""Glare: Unified Glare Rating (CIE 117) of images and of lamps, Daylight Glare Probability."""
 
 import dataclasses
 import math
 import warnings
-from typing import TYPE_CHECKING, cast
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import label
 
+from lumitree.core.arguments import check_items, metres_of
+from lumitree.core.backend import in_turn, load_rgb
+from lumitree.core.frames import similarity_scale
 from lumitree.core.photometry import luminance
+from lumitree.core.progress import reporting
 from lumitree.errors import LumitreeError, LumitreeWarning, explained
+from lumitree.formats.type_c import IntensityDistribution
+from lumitree.lamp.source import LuminaireSource, source_kind
+from lumitree.rendering.placement import Placement
 from lumitree.rendering.render import RenderResult
 
 if TYPE_CHECKING:
-    from lumitree.rendering.scene import CameraView
+    from lumitree.rendering.scene import CameraView, PlacedLuminaire
 
 # Brighter pixels are sources: for the UGR in mean luminances of the others, for the DGP in cd/m².
 _BRIGHT = 5
 _BRIGHT_DAYLIGHT = 2000.0
 # A larger difference between the ratings of the image and of half its resolution is warned of.
 _TOLERANCE = 1.0
+# Light paths of a lamp whose intensities are not known, and area of a lamp without one, m².
+_RAYS, _POINT_AREA = 1 << 18, 1e-4
 
 
 @dataclasses.dataclass(frozen=True)
@@ -101,6 +111,126 @@ def glare(image: RenderResult, vertical_illuminance: float) -> Glare:
         source_luminance=float((values * view.solid_angle)[source].sum()) / (omega or math.nan),
         source_solid_angle=omega,
     )
+
+
+@dataclasses.dataclass(frozen=True)
+class LampGlare:
+    """Glare of lamps at an observer.
+
+    Attributes:
+        ugr: Unified Glare Rating (CIE 117); NaN if no lamp is seen, or the background is black.
+        luminance: of each lamp, cd/m²: its intensity towards the observer over the area of its
+            luminous opening seen from there.
+        solid_angle: of each opening, sr.
+        position_index: of each lamp, by Guth; infinite for a lamp behind the observer.
+    """
+
+    ugr: float
+    luminance: list[float]
+    solid_angle: list[float]
+    position_index: list[float]
+
+
+@in_turn
+def lamp_glare(
+    placements: Sequence[Placement],
+    observer: tuple[float, float, float],
+    direction: tuple[float, float, float],
+    background: float,
+    *,
+    up: tuple[float, float, float] = (0.0, 1.0, 0.0),
+    unit: float | str = "m",
+    variant: str | None = None,
+) -> LampGlare:
+    """Glare of lamps at an observer, by their intensities and not by pixels of an image.
+
+    UGR = 8 log₁₀(0.25 / L_b · Σ L² ω / p²), over the lamps, as CIE 117 and lighting programs have
+    it: a lamp is evenly bright over its luminous opening, and nothing of the room hides it. Lamps
+    of the scene itself do not count. Noise of explicit lamps is below 0.2.
+
+    Args:
+        placements: the luminaires, as for `render`.
+        observer: [3] the eye, scene units.
+        direction: [3] line of sight, of any length.
+        background: luminance L_b of the background, cd/m²: the indirect vertical illuminance at the
+            eye over π.
+        up: [3] direction that is up for the observer.
+        unit: unit of length of the scene, as for `illuminance`.
+        variant: Mitsuba variant; see `bake`.
+
+    Returns:
+        The rating, and the figures of each lamp in the order of the placements and their arrays.
+
+    Raises:
+        LumitreeError: an argument is no direction or unit; or a lamp cannot be read.
+
+    Example:
+        >>> lamp = lumitree.Placement("lamp.ies", at=(0, 2.7, -3), grid=(2, 3), pitch=(2, 2))
+        >>> print(lumitree.lamp_glare([lamp], (0, 1.2, 0), (0, 0, -1), background=30).ugr)
+    """
+    check_items("placements", placements, Placement)
+    lamps = [lamp for placement in placements for lamp in placement.each()]
+    metres = metres_of(unit)
+    ahead = np.asarray(direction, np.float64)
+    right = np.cross(ahead, up)
+    if not (np.isfinite(right).all() and np.linalg.norm(right) > 0):
+        raise LumitreeError(
+            f"the line of sight is {direction} and up is {up}; expected two different directions"
+        )
+    axes = np.stack([right, np.cross(right, ahead), ahead])
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    load_rgb(variant)
+    from lumitree.rendering.scene import open_placements
+
+    known: dict[object, tuple[IntensityDistribution, NDArray[np.float64]]] = {}
+    found = []
+    for lamp in open_placements(lamps, metres):
+        if lamp.source not in known:
+            known[lamp.source] = _light_of(lamp, metres)
+        light, centre = known[lamp.source]
+        turn = lamp.scene_from_world[:3, :3]
+        scale = similarity_scale(lamp.scene_from_world)
+        offset = turn @ centre + lamp.scene_from_world[:3, 3] - observer
+        distance = float(np.linalg.norm(offset))
+        towards = -offset @ turn / (scale * distance)
+        lumens = light.lumens * (scale * metres) ** 2
+        if lamp.asset is not None:
+            lumens = float(luminance(lamp.watts))
+        candela = float(light.at(towards)) * lumens / light.lumens
+        area = float(light.opening.projected_area(towards)) * (scale * metres) ** 2 or _POINT_AREA
+        across, height, depth = axes @ offset
+        seen = depth > 0
+        index = float(_position_index(across / depth, height / depth)) if seen else math.inf
+        found.append((candela / area, area / (distance * metres) ** 2, index))
+    sums = sum(lit**2 * omega / index**2 for lit, omega, index in found)
+    is_known = sums > 0 and background > 0
+    ugr = 8 * math.log10(0.25 / background * sums) if is_known else math.nan
+    lit, omega, index = map(list, zip(*found, strict=True)) if found else ([], [], [])
+    return LampGlare(ugr, lit, omega, index)
+
+
+def _light_of(
+    lamp: "PlacedLuminaire", metres: float
+) -> tuple[IntensityDistribution, NDArray[np.float64]]:
+    """Intensities of a lamp in the frame of its file, and the centre [3] of its opening there."""
+    from lumitree.formats.photometric_file import read_again
+    from lumitree.measure.far_field import asset_source, luminaire_source, measure
+
+    if lamp.luminaire is not None:
+        source = luminaire_source(lamp.luminaire)
+    else:
+        assert lamp.asset is not None
+        name = lamp.placement.source
+        is_file = source_kind(name) == "photometric" and not isinstance(name, LuminaireSource)
+        file = read_again(cast(Any, name)) if is_file else None
+        source = asset_source(lamp.asset, file)
+        if file is not None:
+            source = dataclasses.replace(source, opening=file.opening.scaled(1 / metres))
+    with reporting(None):
+        found = measure(source, _RAYS)
+    intensity, grid = found.intensity.mean(axis=0), found.grid
+    light = IntensityDistribution(found.name, grid.c, grid.gamma, intensity, found.opening)
+    return light, source.frame.centre + found.centre
 
 
 class _View:

@@ -1,6 +1,7 @@
 """Photometry of luminaires and assets."""
 
 import dataclasses
+import functools
 import os
 import warnings
 from collections.abc import Sequence
@@ -15,7 +16,7 @@ from lumitree.core.arguments import check_choice, check_count, metres_of
 from lumitree.core.backend import in_turn, load_rgb
 from lumitree.core.files import FilePath, check_writable
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
-from lumitree.core.results import ImageResult, Stopwatch
+from lumitree.core.results import Result, Stopwatch
 from lumitree.core.seeds import check_seed
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.formats.type_c import EDGE, MIN_STEP, Grid, IntensityDistribution
@@ -42,10 +43,11 @@ OUTPUTS = (*WRITTEN_SUFFIXES, ".html", ".pdf")
 
 
 @dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
-class PhotometryResult(ImageResult, PhotometricFigures):
+class PhotometryResult(Result, PhotometricFigures):
     """Result of a photometric measurement: the figures of `PhotometricFigures`, and more.
 
-    `png` shows a polar plot, a cone diagram and an isocandela plot.
+    `png`, which is made when it is asked for, shows a polar plot, a cone diagram and an isocandela
+    plot.
 
     Attributes:
         luminaire: name of the luminaire.
@@ -59,6 +61,7 @@ class PhotometryResult(ImageResult, PhotometricFigures):
         c_angles, gamma_angles: [C] and [G] angles of the intensities, degrees.
         intensity, intensity_error: [C, G] luminous intensities and standard errors, cd.
         files: files that were written.
+        data: all that a report shows.
         ugr: [19, 10] Unified Glare Ratings, see `measure.photometric_figures.ugr_table`; NaN where
             there is none. None if the optional dependency `ugr` is not installed.
     """
@@ -74,7 +77,18 @@ class PhotometryResult(ImageResult, PhotometricFigures):
     intensity: NDArray[np.float64] = dataclasses.field(repr=False)
     intensity_error: NDArray[np.float64] = dataclasses.field(repr=False)
     files: list[Path]
+    data: PhotometricData = dataclasses.field(repr=False)
     ugr: NDArray[np.float64] | None = dataclasses.field(default=None, repr=False)
+
+    @functools.cached_property
+    def png(self) -> bytes:
+        """The plots, a PNG file."""
+        from lumitree.measure.figures import plots_png
+
+        return plots_png(self.data)
+
+    def _repr_png_(self) -> bytes:
+        return self.png
 
 
 @in_turn
@@ -148,7 +162,6 @@ def photometry(
     from lumitree.formats.photometric_file import read_again
     from lumitree.lamp.luminaire import load_luminaire
     from lumitree.measure.far_field import asset_source, luminaire_source, measure, oriented
-    from lumitree.measure.figures import plots_png
 
     if step is not None:
         Grid(step)
@@ -194,7 +207,7 @@ def photometry(
         intensity=data.distribution.intensity,
         intensity_error=data.intensity_error,
         files=[Path(path) for path in outputs],
-        png=plots_png(data),
+        data=data,
         **watch.costs(),
     )
 
@@ -246,7 +259,6 @@ def _write(path: FilePath, data: PhotometricData, rays: "Rays") -> None:
     from lumitree.formats.ies import write_ies
     from lumitree.formats.ldt import write_ldt
     from lumitree.formats.tm25 import write_tm25
-    from lumitree.measure.figures import write_html, write_pdf
 
     distribution = data.distribution
     match _suffix(path):
@@ -254,9 +266,9 @@ def _write(path: FilePath, data: PhotometricData, rays: "Rays") -> None:
             write_ies(path, distribution)
         case ".ldt":
             write_ldt(path, distribution)
-        case ".html":
-            write_html(path, data)
-        case ".pdf":
-            write_pdf(path, data)
+        case ".html" | ".pdf" as suffix:
+            from lumitree.measure.figures import write_html, write_pdf
+
+            (write_html if suffix == ".html" else write_pdf)(path, data)
         case _:
             write_tm25(path, rays, distribution.name)

@@ -76,23 +76,21 @@ class DeviceAsset:
     @property
     def light(self) -> DeviceLight:
         """The light field without levels: for rays, images and directions."""
-        return self._light(bent=False, levels=False)
+        return self.stored_light(False, levels=False)
 
-    def stored_light(self, bent: bool) -> DeviceLight:
+    def stored_light(self, bent: bool, *, levels: bool = True) -> DeviceLight:
         """The light field, or its bent light, with levels, as `lumitree_path` samples it."""
-        return self._light(bent=bent, levels=True)
 
-    def _light_field(self, bent: bool) -> LightField:
-        field = self.asset.light_field
-        assert field is not None
-        return field.bent_light if bent else field
-
-    def _light(self, *, bent: bool, levels: bool) -> DeviceLight:
         def make() -> DeviceLight:
             asset, field = self.asset, self._light_field(bent)
             return DeviceLight(field, asset.frame.half_extents, asset.light_factors, levels=levels)
 
         return shared(self.asset, ("light", bent, levels), make)
+
+    def _light_field(self, bent: bool) -> LightField:
+        field = self.asset.light_field
+        assert field is not None
+        return field.bent_light if bent else field
 
     def inside_light(self, bent: bool) -> InsideLight:
         """As `stored_light`, for receivers inside the box."""

@@ -248,6 +248,7 @@ def render_passes(
     if sums is not None:
         spent = _share(budget, sums, _noise(sums))
         plan.continue_after(sums.samples, sums.seconds, is_over=spent >= 1)
+        name += f", continued after {sums.samples:,} samples per pixel"
     next_time = 0.0
     if renderer is None:
         here = (render_pass(scene, integrator, *each) for each in plan)
@@ -263,7 +264,7 @@ def render_passes(
             noise = _noise(sums)
             share = _share(budget, sums, noise)
             done = max(spent, share, _guess(budget, sums, noise))
-            advance(done - spent, "" if noise is None else f"noise {noise:.1%}")
+            advance(done - spent, _note(sums, noise))
             spent = done
             if plan.is_over or share >= 1:
                 break
@@ -281,6 +282,11 @@ def _share(budget: Budget, sums: PassSums, noise: float | None) -> float:
     """As `Budget.share`; the noise of few passes is not known well enough."""
     known = noise if sums.passes >= _MIN_PASSES else None
     return budget.share(sums.samples, sums.seconds, known)
+
+
+def _note(sums: PassSums, noise: float | None) -> str:
+    """The noise for the display: of few passes it would alarm, and says little."""
+    return "" if noise is None or sums.passes < _MIN_PASSES else f"noise {100 * noise:.1f} %"
 
 
 def _guess(budget: Budget, sums: PassSums, noise: float | None) -> float:

@@ -1,7 +1,8 @@
 """Photographs: what a camera with exposure and white balance makes of an image's radiance.
 
-Exposure is EV100: white on the display is a luminance of 1.2 x 2^EV cd/m², as for a camera that is
-calibrated by ISO 2720. White balance is a chromatic adaptation by CAT16 (CIE 248:2022).
+Exposure is EV100: white on the display is a luminance of 1.2 x 2^EV cd/m², as for a camera whose
+sensor is rated by its saturation (ISO 12232). White balance is a chromatic adaptation by CAT16
+(CIE 248:2022).
 
 Filaments are up to 1,000 times as bright as white, and the edge of one would be a staircase
 whatever the reconstruction filter. So emitters that are seen are clamped to a few times white
@@ -14,8 +15,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
-from scipy.ndimage import gaussian_filter
 
 from lumitree.core.arguments import check_choice, check_range
 from lumitree.core.images import block_means
@@ -35,7 +34,7 @@ from lumitree.rendering.view_transform import VIEWS, View, displayed
 # Log-average luminance of the scene relative to white. Side in pixels of the blocks over which it
 # is averaged: the logarithm of single pixels would measure their noise. Share of the blocks that is
 # at most so many times as bright as white.
-_KEY, _BLOCK, _BRIGHTEST = 0.36, 8, (0.95, 4.0)
+_KEY, _BLOCK, _BRIGHTEST = 0.36, 8, (0.95, 3.0)
 # Stops above and below the median block beyond which a block is no part of the scene: lamps and
 # windows, and openings into the dark.
 _ABOVE, _BELOW = 4.0, 7.0
@@ -52,7 +51,7 @@ _LEAST_ALBEDO, _POWER = 0.05, 4
 # brighter, pixels.
 _MOST, _FILTER = 16.0, 0.5
 # Bloom: standard deviations of Gaussians as parts of the image's diagonal, and their weights.
-_BLOOM = ((0.003, 0.5), (0.012, 0.3), (0.05, 0.2))
+_BLOOM = ((0.003, 0.5), (0.012, 0.35), (0.04, 0.15))
 _CAT16 = np.array(
     [
         [0.401288, 0.650173, -0.051461],
@@ -294,6 +293,8 @@ def bloomed(image: NDArray[np.float32], share: float) -> NDArray[np.float32]:
     kept = np.full((height, width), 1 - share, np.float32)
     for deviation, weight in _BLOOM:
         kept += share * weight * np.exp(-0.5 * (np.pi * deviation * diagonal) ** 2 * squares)
+    from scipy import fft
+
     spectrum: Any = fft.dctn(image, axes=(0, 1), norm="ortho")
     shown: Any = fft.idctn(spectrum * kept[..., None], axes=(0, 1), norm="ortho")
     return np.maximum(shown, 0)
@@ -307,6 +308,8 @@ def _resolved(
     if highlights is not None:
         bright, clamped = highlights.divide(_MOST * white)
         if bright.any():
+            from scipy.ndimage import gaussian_filter
+
             filtered = gaussian_filter(clamped, (_FILTER, _FILTER, 0), mode="nearest")
             image += (filtered - bright) / white
     image = np.maximum(image, 0)

@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 import math
+import numbers
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -81,12 +82,12 @@ class Placement:
                     "bake it first, or change its emitters"
                 )
 
-        if (self.grid, self.pitch) != (None, None):
+        if self.grid is not None or self.pitch is not None:
             self._check_array()
 
     def _check_array(self) -> None:
-        grid, pitch = self.grid or (), self.pitch or ()
-        sizes = all(isinstance(each, int) and each >= 1 for each in grid)
+        grid, pitch = (() if each is None else tuple(each) for each in (self.grid, self.pitch))
+        sizes = all(isinstance(each, numbers.Integral) and each >= 1 for each in grid)
         if not (2 <= len(grid) <= 3 and sizes and math.prod(grid) <= _MAX_ARRAY):
             raise LumitreeError(
                 f"grid is {shown(self.grid, 60)}; expected 2 or 3 whole numbers from 1 on, of "

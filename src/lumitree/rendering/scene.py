@@ -11,7 +11,7 @@ from typing import Any, TypeAlias, cast
 
 import mitsuba as mi
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from lumitree.asset.asset import Asset
 from lumitree.core.arguments import MAX_PIXELS_A_SIDE, check_gain
@@ -72,15 +72,21 @@ class PlacedLuminaire:
         # maps [-1, 1]³ to the bounding box.
         self.scene_from_world = scene_from_local @ frame.local_from_world
         self.scene_from_box = scene_from_local @ np.diag([*frame.half_extents, 1])
+        self._metres = metres
         # Factors [3] on its light, for its `gain`, `lumens` and `temperature`.
-        self.gain = check_gain(placement.gain)
-        wanted = placement.lumens, placement.temperature
+        self.gain = (1.0, 1.0, 1.0)
+        gain, wanted = check_gain(placement.gain), (placement.lumens, placement.temperature)
         if self.asset is not None and wanted != (None, None):
-            scale = similarity_scale(scene_from_local, "placement") / frame.scale
-            grown = 1.0 if self.asset.is_photometric else scale
-            watts = asset_watts(self.asset) * (grown * metres) ** 2
-            factors = factors_to(watts, *wanted, placement.name)
-            self.gain = check_gain(factors * self.gain)
+            gain = check_gain(factors_to(self.watts, *wanted, placement.name) * gain)
+        self.gain = gain
+
+    @property
+    def watts(self) -> NDArray[np.float64]:
+        """Flux [3] of R, G and B of a baked lamp in the scene, W."""
+        assert self.asset is not None
+        scale = similarity_scale(self.scene_from_world, "placement")
+        grown = 1.0 if self.asset.is_photometric else scale
+        return asset_watts(self.asset) * (grown * self._metres) ** 2 * self.gain
 
     @property
     def title(self) -> str:

@@ -30,7 +30,7 @@ _PLACE_CODES = 1 << 13
 # Codes of radiance for a factor of 2, and factors of 2 from the least radiance to the largest.
 _CODES_A_STOP, _STOPS = 32, 30
 # Paths that end at all triangles together; and at one, at least and at most.
-_PATHS, _LEAST_PATHS, _MOST_PATHS = 1 << 20, 4, 128
+_PATHS, _LEAST_PATHS, _MOST_PATHS = 1 << 19, 4, 128
 
 
 @dataclasses.dataclass(frozen=True)

@@ -165,7 +165,7 @@ def _traced(material: PbrMaterial, is_model: bool) -> PageSurface | None:
 
 
 def _has_back(material: Material) -> bool:
-    thin = isinstance(material, MetallicRoughness) and bool(material.thin)
+    thin = isinstance(material, MetallicRoughness) and material.thin
     if isinstance(material, TwoSided) or thin or transmits(material):
         return True
     return any(map(_has_back, material.nested))

@@ -17,7 +17,7 @@ from lumitree.lamp.importers import gltf, gltf_document, gltf_scene, model_files
 from lumitree.lamp.importers.gltf import read_gltf
 from support import damage
 from support.gltf_builder import QUAD, QUAD_FACES, QUAD_UV, Gltf
-from support.gltf_models import rich, sparse
+from support.gltf_models import instanced, lit, rich, sparse
 
 
 def quad():
@@ -103,6 +103,17 @@ def unstored(count):
     return made
 
 
+def cone(inner, outer):
+    spot = {"innerConeAngle": inner, "outerConeAngle": outer}
+    return lit({"type": "spot", "spot": spot})
+
+
+def second_light():
+    made = lit({"type": "point"})
+    made.json["nodes"][-1]["extensions"] = {"KHR_lights_punctual": {"light": 1}}
+    return made
+
+
 def root(made, **fields):
     made.json |= fields
     return made
@@ -160,6 +171,15 @@ REFUSED = [
     (material(alphaMode="GLASS"), "alphaMode"),
     (material(extensions={"KHR_materials_ior": {"ior": 0.5}}), "ior"),
     (material(extensions={"KHR_materials_emissive_strength": 5}), "JSON object"),
+    (lit({"type": "area"}), "type 'area'"),
+    (second_light(), "names light 1, but there are 1"),
+    (cone(0.5, 0.4), "innerConeAngle 0.5 and outerConeAngle 0.4"),
+    (cone(0, 0), "innerConeAngle 0 and outerConeAngle 0"),
+    (cone(0, 1.6), "outerConeAngle is 1.6"),
+    (cone(-0.1, 0.4), "innerConeAngle is -0.1"),
+    (instanced(TRANSLATION=np.zeros((3, 3), np.float32), SCALE=QUAD[:2]), r"\[2, 3\] instances"),
+    (instanced(ROTATION=np.zeros((2, 4), np.float32)), "no unit quaternion"),
+    (instanced(ROTATION=QUAD), "expected .* components"),
     *(
         (root(quad(), extensionsRequired=[name]), name)
         for name in ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_texture_basisu")

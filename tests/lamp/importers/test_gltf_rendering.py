@@ -9,14 +9,6 @@ from lumitree.lamp.importers.gltf import read_gltf
 from lumitree.lamp.scene_file import SceneFile
 from lumitree.lamp.scene_writer import write_scene
 from support.gltf_builder import QUAD, QUAD_FACES, QUAD_UV, Gltf, box
-from support.variant import VARIANT
-
-
-@pytest.fixture(scope="module")
-def mi():
-    from lumitree.core.backend import load_mitsuba
-
-    return load_mitsuba(VARIANT)
 
 
 def imported(mi, gltf, folder):

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lumitree.errors import shown, shown_names
 from lumitree.lamp.importers.gltf_document import MAX_MAGNITUDE, Document, Item, Notes
-from lumitree.lamp.meshes import Floats, Mesh, area_normals, summed_at_vertices
+from lumitree.lamp.meshes import Floats, Mesh, area_normals, facets, summed_at_vertices
 from lumitree.lamp.parts import check_shapes
 
 MAX_DECODED_BYTES = 2**30
@@ -324,11 +324,9 @@ def _faces(order: NDArray[np.int64], mode: int) -> NDArray[np.int64]:
 
 def _faceted(mesh: Mesh) -> Mesh:
     """Every face with vertices and a normal of its own, as glTF asks where normals are missing."""
-    normals = area_normals(mesh.vertices, mesh.faces)
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     corners = mesh.faces.ravel()
     faceted = mesh.taken(corners, np.arange(len(corners)).reshape(-1, 3))
-    return dataclasses.replace(faceted, normals=np.repeat(normals, 3, axis=0))
+    return dataclasses.replace(faceted, normals=facets(mesh.vertices[mesh.faces]).normals)
 
 
 def _with_normals(mesh: Mesh, normals: Floats) -> Mesh:
