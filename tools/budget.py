@@ -17,10 +17,10 @@ SOURCE = ROOT / "src/lumitree"
 LINES = {
     "": 400,
     "asset": 2_900,
-    "cli": 1_760,
-    "core": 4_900,
+    "cli": 1_730,
+    "core": 4_830,
     "exports": 3_600,
-    "fit": 5_900,
+    "fit": 5_850,
     "formats": 4_100,
     "lamp": 10_450,
     "many": 600,
@@ -37,8 +37,8 @@ OTHERS = {
     "words of docs by hand": 45_000,
     "lines of README.md": 90,
     "files that use the word gain": 12,
-    "lines with Any": 415,
-    "private functions used once": 360,
+    "lines with Any": 310,
+    "private functions used once": 358,
 }
 
 
