@@ -19,10 +19,7 @@ TESTS = Path(__file__).parent
 # Modules of which most tests import JAX.
 JAX_TESTS = (
     "fit/network/*",
-    "benchmarks/test_descent.py",
-    "benchmarks/test_light_flow.py",
     "benchmarks/test_paper.py",
-    "benchmarks/test_zhu.py",
 )
 # Modules that use what POSIX systems alone have; elsewhere they are not collected.
 POSIX_TESTS = (

@@ -4,8 +4,10 @@ import dataclasses
 import functools
 import json
 import struct
+import tempfile
 import tomllib
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,7 +23,7 @@ from fuzz.mutations import (
     toml_text,
 )
 from lumitree.asset.asset import EmittedSpectrum, light_field_asset
-from lumitree.asset.file import load
+from lumitree.asset.file import load, save
 from lumitree.asset.light_field import TracedPaths
 from lumitree.errors import LumitreeError
 from lumitree.formats.gldf import KIND, read_variant
@@ -42,7 +44,7 @@ from support.fields import random_asset
 from support.geometry_assets import small_geometry, with_geometry
 from support.gltf_models import rich
 from support.ies_text import ies_text
-from support.light_fields import random_light_field, with_inside
+from support.light_fields import assert_equal_fields, random_light_field, with_inside
 from support.obj_files import obj_model
 from support.placement_text import PLACEMENTS
 from support.sound_assets import assert_sound
@@ -69,6 +71,7 @@ class Reader:
         check: takes the result, and fails if it is not sound.
         use: the same, by a rendering or a bake: it takes seconds.
         memory: bytes that one input may take at most, besides the memory of the program.
+        count: of inputs of a run, unless the environment says how many.
     """
 
     inputs: st.SearchStrategy[dict[str, bytes]]
@@ -76,6 +79,7 @@ class Reader:
     check: Callable[[Any], None] = lambda _: None
     use: Callable[[Any], None] | None = None
     memory: int = 2 << 30
+    count: int = 40
 
 
 @functools.cache
@@ -165,6 +169,22 @@ def _bake(lamp, *colour):
             raise AssertionError(f"intensities were read, but not baked: {error}") from error
         return
     _show(asset)
+
+
+def _sound_asset(asset):
+    assert_sound(asset)
+    # A change that is accepted comes back from a file.
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "again.lumitree"
+        save(asset, path)
+        again = load(path)
+    assert (again.luminaire, again.parts) == (asset.luminaire, asset.parts)
+    assert (again.spectrum is None) == (asset.spectrum is None)
+    if asset.light_field is not None:
+        assert_equal_fields(again.light_field, asset.light_field)
+    if asset.geometry is not None:
+        assert again.geometry.shapes == asset.geometry.shapes
+        assert again.geometry.materials == asset.geometry.materials
 
 
 def _show(asset):
@@ -385,7 +405,7 @@ _LDT = [ldt(), ldt(0, 4), ldt(4, 8, 2)]
 _TM33 = st.sampled_from(tm33_texts()).flatmap(changed_xml).map(lambda text: {"lamp.tm33": text})
 _PLACEMENT_TREES = changed_tree(tomllib.loads(PLACEMENTS))
 READERS = {
-    "asset": Reader(assets(), load, assert_sound, _show, memory=3 << 30),
+    "asset": Reader(assets(), load, _sound_asset, _show, memory=3 << 30, count=200),
     "ies": Reader(_texts("a.ies", ies()), read_ies, _sound_distribution, _bake),
     "ldt": Reader(_texts("a.ldt", _LDT), read_ldt, _sound_distribution, _bake),
     "tm25": Reader(ray_files(), read_tm25),

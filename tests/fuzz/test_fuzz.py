@@ -54,7 +54,7 @@ def outcomes(name, count, folder, use=False):
             with at_most(reader.memory):
                 value = reader.read(folder / next(iter(files)))
                 reader.check(value)
-            if use:
+            if use and reader.use:
                 reader.use(value)
 
         message = checked(read)
@@ -67,7 +67,7 @@ def outcomes(name, count, folder, use=False):
 
 @pytest.mark.parametrize("name", READERS)
 def test_inputs_are_read_or_refused_in_a_line(name, mi, tmp_path):
-    count = INPUTS or 40
+    count = INPUTS or READERS[name].count
     found = outcomes(name, count, tmp_path)
     # Changes reach the code behind the first checks, and are noticed.
     assert found["accepted"] > count / 20

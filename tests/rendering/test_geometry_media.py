@@ -13,7 +13,7 @@ from test_geometry_appearance import (
     camera,
     explicit,
     floor,
-    panel,
+    lit_room,
     passes,
 )
 
@@ -181,15 +181,6 @@ def test_fog_gets_the_light_of_the_lamp(make):
     clear = passes({**objects, "sensor": sensor} | baked(asset), spp=256, max_depth=2)
     assert_same_expectation(ours, field)
     assert abs(ours.mean() / clear.mean() - 1) > 0.05
-
-
-def lit_room():
-    """A floor and an area light above it, with the lamp between them."""
-    return {
-        "sensor": camera([0.8, 1.5, 2.4], [0, 0.6, 0], 50),
-        "floor": floor({"type": "diffuse"}),
-        "window": panel([-0.3, 2.4, 0.5], [0, 0, 0], 0.5, [6, 5, 4]),
-    }
 
 
 @pytest.mark.slow

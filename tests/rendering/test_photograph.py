@@ -100,8 +100,12 @@ def test_grey_under_a_lamp_comes_closer_to_grey(mi, temperature):
         xyz_from_srgb(0.7 * neutral + 0.3 * grey), rel=1e-4
     )
     given = PhotoSettings(exposure="ev=9", white_balance=temperature, view="srgb", bloom=0)
-    pixel = given.photograph(np.full((8, 8, 3), grey)).pixels[0, 0].astype(int)
-    assert np.ptp(pixel) <= 1
+    shown = given.photograph(np.full((8, 8, 3), grey))
+    assert np.ptp(shown.pixels[0, 0].astype(int)) <= 1
+    assert shown.white_balance == temperature
+    # Automatic white balance shows light between this one and daylight white.
+    low, high = sorted((temperature, 6504.0))
+    assert low < light.white_temperature < high
 
 
 def test_white_balance_off_changes_nothing(image):
@@ -120,8 +124,7 @@ def test_the_albedo_tells_the_light_in_a_coloured_room(mi):
 
 def test_coloured_light_keeps_its_colour(mi):
     for colour in ([0.0, 1.0, 0.1], [1.0, 0.0, 1.0]):
-        light = light_on_scene(np.broadcast_to(colour, (16, 16, 3)))
-        assert light is None or light.degree == 0
+        assert light_on_scene(np.broadcast_to(colour, (16, 16, 3))) is None
     assert light_on_scene(np.zeros((8, 8, 3))) is None
 
 
@@ -189,7 +192,7 @@ def test_bloom_keeps_the_light(shape):
     shown = bloomed(image, 0.2)
     assert shown.sum(axis=(0, 1)) == pytest.approx(image.sum(axis=(0, 1)), rel=1e-9)
     assert shown[20, 10, 0] < 9.9
-    assert shown[20, 12, 0] > image[20, 12, 0]
+    assert shown[20, 11, 0] > image[20, 11, 0] + 0.01
     assert np.array_equal(bloomed(image, 0), image)
     # Uniform light is not changed.
     assert bloomed(np.ones_like(image), 0.2) == pytest.approx(1)

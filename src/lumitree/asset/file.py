@@ -138,7 +138,9 @@ def load(path: str | os.PathLike[str]) -> Asset:
         LumitreeError: the file is missing, damaged or not an asset, or breaks an invariant.
     """
     content = read_bytes(path, "a .lumitree asset", MAX_BYTES)
-    if (what := _other_kind(path, content)) is not None:
+    begins = content[8:9] == b"{" and _header_bytes(content) <= _MAX_HEADER_BYTES
+    what = ASSET if begins else what_it_is(path, content) or "a file of another kind"
+    if what != ASSET:
         raise LumitreeError(
             f"{shown(path, 300)} is {what}, not a .lumitree asset; expected a file that `lumitree "
             "bake` made of a luminaire or of a photometric file"
@@ -183,14 +185,6 @@ def _build(description: _Description, tensors: Arrays) -> Asset:
         light_factors=description.gain,
         spectrum=spectrum,
     )
-
-
-def _other_kind(path: str | os.PathLike[str], content: bytes) -> str | None:
-    """Kind of a file that does not begin as an asset; None for an asset, damaged or not."""
-    if content[8:9] == b"{" and _header_bytes(content) <= _MAX_HEADER_BYTES:
-        return None
-    what = what_it_is(path, content) or "a file of another kind"
-    return None if what == ASSET else what
 
 
 def _header_bytes(content: bytes) -> int:

@@ -126,7 +126,7 @@ def program(command: str | None = None) -> App:
     parser = App(
         name="lumitree",
         help="Bake a complex luminaire into a compact emitter for Mitsuba 3.",
-        version=__version__,
+        version=f"lumitree {__version__}",
         help_format="plaintext",
         default_parameter=Parameter(negative=()),
         result_action="return_value",

@@ -88,7 +88,7 @@ class Glb:
         self._used.add(extension)
         item.setdefault("extensions", {})[extension] = values
 
-    def view(self, data: bytes, target: int | None = None) -> int:
+    def buffer_view(self, data: bytes, target: int | None = None) -> int:
         """Add bytes; returns the index of their buffer view."""
         self._data += b"\0" * (-len(self._data) % _ALIGNMENT)
         view: Json = {"buffer": 0, "byteOffset": len(self._data), "byteLength": len(data)}
@@ -103,7 +103,7 @@ class Glb:
         return self.add(
             "accessors",
             {
-                "bufferView": self.view(np.ascontiguousarray(array).tobytes(), target),
+                "bufferView": self.buffer_view(np.ascontiguousarray(array).tobytes(), target),
                 "componentType": _COMPONENTS[array.dtype.name],
                 "count": len(array),
                 "type": _TYPES[columns.shape[1]],
@@ -267,7 +267,7 @@ class GltfMaterials:
     def _texture(self, surface: Surface, texture: Texture, name: str) -> Json:
         """Information of a texture with the image of a name."""
         if name not in self._sources:
-            view = self._glb.view(self._images.files[name])
+            view = self._glb.buffer_view(self._images.files[name])
             source = {"bufferView": view, "mimeType": "image/png", "name": name}
             self._sources[name] = self._glb.add("images", source)
         kind = texture.wrap_mode, texture.filter_type
@@ -339,7 +339,7 @@ def _add_light(glb: Glb, index: int, light: ProfiledLight | Spot) -> int:
         return glb.add("nodes", node)
     profile = {
         "name": name,
-        "bufferView": glb.view(ies_content(light.profile)),
+        "bufferView": glb.buffer_view(ies_content(light.profile)),
         "mimeType": _PROFILE_TYPE,
     }
     number = glb.add_of_extension(_PROFILED, "lights", profile)

@@ -77,6 +77,8 @@ def surfaces_of(asset: Asset, turn: NDArray[np.float64]) -> tuple[list[Surface],
 
     `turn` [3, 3] is the rotation from the frame of the luminaire's file to the program's.
     """
+    from trimesh import Trimesh
+
     if asset.geometry is None:
         return [], [LOST_GEOMETRY]
     geometry, found, lost = asset.geometry, [], set[str]()
@@ -99,7 +101,10 @@ def surfaces_of(asset: Asset, turn: NDArray[np.float64]) -> tuple[list[Surface],
         if VertexColours() in material.textures:
             arrays["colours"] = mesh["colours"]
         uv = [places_on_image(each, texcoords).astype(np.float32) for each in maps]
-        if not (material.emission.is_black or _is_closed(mesh)):
+        closed = (
+            material.emission.is_black or Trimesh(mesh["vertices"], mesh["faces"]).is_watertight
+        )
+        if not closed:
             lost.add("surfaces that emit and enclose nothing emit from their backs too")
         refracts = not (material.transmission.is_black or material.thin)
         thickness = _thickness(mesh) if refracts else 0.0
@@ -112,13 +117,6 @@ def _unit(normals: NDArray[np.floating]) -> NDArray[np.float32]:
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     safe = np.where(length > 0, normals / np.maximum(length, 1e-30), [0.0, 1.0, 0.0])
     return safe.astype(np.float32)
-
-
-def _is_closed(mesh: MeshArrays) -> bool:
-    """Whether a mesh encloses a volume, so that nobody sees its back."""
-    from trimesh import Trimesh
-
-    return Trimesh(mesh["vertices"], mesh["faces"]).is_watertight
 
 
 def _thickness(mesh: MeshArrays) -> float:

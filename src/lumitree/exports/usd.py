@@ -228,10 +228,6 @@ class LampStage:
         return self._pxr.Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(array, np.float32))
 
 
-def _write_stage(request: ExportRequest, folder: Path) -> Written:
-    return _write(request, folder, request.name, one_layer=False)
-
-
 def _write_package(request: ExportRequest, folder: Path) -> Written:
     """A package, which contains layers and images only, as its specification has it."""
     pxr = load_usd()
@@ -270,7 +266,12 @@ def _check(_: object) -> None:
 
 
 STAGE = Target(
-    name="OpenUSD", write=_write_stage, up="y", units=_UNITS, importers=True, check=_check
+    name="OpenUSD",
+    write=lambda request, folder: _write(request, folder, request.name, one_layer=False),
+    up="y",
+    units=_UNITS,
+    importers=True,
+    check=_check,
 )
 PACKAGE = Target(
     name="USDZ", write=_write_package, up="y", units=_UNITS, importers=True, check=_check

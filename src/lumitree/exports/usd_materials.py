@@ -49,7 +49,10 @@ class MaterialWriter:
         self._preview(preview, surface.material)
         made.CreateSurfaceOutput().ConnectToSource(preview.output("surface"))
         self._previews.append(preview)
-        if self._materialx and _is_plain(surface.material):
+        material = surface.material
+        # Glass or metal without textures.
+        is_plain = ONE in (material.transmission, material.metallic) and not material.textures
+        if self._materialx and is_plain and material.opacity == ONE:
             standard = _Shader(self, f"{path}/standard", _STANDARD, surface)
             _standard(standard, surface.material)
             made.CreateSurfaceOutput("mtlx").ConnectToSource(standard.output("out"))
@@ -93,7 +96,10 @@ class MaterialWriter:
             self.lost.add(
                 "UsdPreviewSurface does not refract: glass is a transparent surface with highlights"
             )
-            opacity = opacity.scaled(1 - through.number * _transmitted(shader.surface))
+            # The mean of R, G and B at normal incidence.
+            reflected = ((material.index - 1) / (material.index + 1)) ** 2
+            crossing = float(np.mean(shader.surface.tint)) * (1 - reflected)
+            opacity = opacity.scaled(1 - through.number * crossing)
         if through.texture is not None:
             self.lost.add("textures of transmission are replaced by 1")
         shader.layer("opacity", opacity)
@@ -199,19 +205,6 @@ def _diffuse(surface: Surface) -> Layer:
         least = min(surface.tint)
         return Layer((red - least, green - least, blue - least))
     return material.colour
-
-
-def _transmitted(surface: Surface) -> float:
-    """Part of the light that crosses a surface at normal incidence: the mean of R, G and B."""
-    index = surface.material.index
-    reflected = ((index - 1) / (index + 1)) ** 2
-    return float(np.mean(surface.tint)) * (1 - reflected)
-
-
-def _is_plain(material: PbrMaterial) -> bool:
-    """Whether it is glass or metal without textures."""
-    kind = ONE in (material.transmission, material.metallic)
-    return kind and material.opacity == ONE and not material.textures
 
 
 def _standard(shader: _Shader, material: PbrMaterial) -> None:

@@ -135,8 +135,12 @@ class _Reader:
         horizontal, vertical, values = _grid(table)
         scale = number_of(table, "Multiplier", 1.0) * self._factor(emitter, table)
         intensity = without_noise(self._path, values * scale)
-        convert = {"A": type_a, "B": _type_b, "C": completed}[self._type(table)]
-        result = IntensityDistribution("", *convert(horizontal, vertical, intensity))
+        given, kind = (horizontal, vertical, intensity), self._type(table)
+        if kind == "B":
+            sphere = on_grid(turned_of_type_b(*given))
+        else:
+            sphere = type_a(*given) if kind == "A" else completed(*given)
+        result = IntensityDistribution("", *sphere)
         stated = number_of(data, "LuminousFlux", 0.0)
         what = f"where it states {stated:g} lm"
         if not stated > 0:
@@ -228,11 +232,6 @@ def _grid(table: Element) -> tuple[Array, Array, Array]:
             "vertical angles; expected one for each pair"
         )
     return horizontal, vertical, values
-
-
-def _type_b(horizontal: Array, vertical: Array, intensity: Array) -> tuple[Array, Array, Array]:
-    """C, γ and intensities of the whole sphere of Type B photometry; arguments as of `type_a`."""
-    return on_grid(turned_of_type_b(horizontal, vertical, intensity))
 
 
 def _angle(point: Element, names: tuple[str, ...]) -> float:

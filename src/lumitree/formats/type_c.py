@@ -285,7 +285,9 @@ def completed(c: Array, gamma: Array, intensity: Array) -> tuple[Array, Array, A
     if not 0 <= gamma[0] <= gamma[-1] <= 180:
         raise LumitreeError(f"its gamma angles are {_range(gamma)}; expected them within 0 to 180")
     for plane in _SYMMETRIES.get((float(c[0]), float(c[-1])), ()):
-        c, intensity = _reflected(c, intensity, plane)
+        # The planes and their mirror images, ascending.
+        c, first = np.unique(np.append(c, 2 * plane - c), return_index=True)
+        intensity = np.concatenate([intensity, intensity])[first]
     if len(c) == 1:
         c = np.zeros(1)
     elif not (180 < c[-1] - c[0] <= 360 and c[0] >= -360 and c[-1] <= 720):
@@ -369,12 +371,6 @@ def _check_half_space(
 
 def _mirrored(angles: Array, rows: Array) -> tuple[Array, Array]:
     return np.concatenate([-angles[:0:-1], angles]), np.concatenate([rows[:0:-1], rows])
-
-
-def _reflected(c: Array, rows: Array, plane: float) -> tuple[Array, Array]:
-    """Planes and their mirror images, ascending."""
-    both, first = np.unique(np.append(c, 2 * plane - c), return_index=True)
-    return both, np.concatenate([rows, rows])[first]
 
 
 def _with_edges(angles: Array, intensity: Array, low: float, high: float) -> tuple[Array, Array]:

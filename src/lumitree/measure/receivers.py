@@ -67,7 +67,13 @@ class Plane:
             ("normal", self.normal, 3),
             ("extent", self.extent, 2),
         ):
-            _check_vector(name, value, count)
+            try:
+                numbers = np.asarray(value, np.float64)
+            except (TypeError, ValueError):
+                numbers = np.zeros(0)
+            if numbers.shape != (count,) or not (np.abs(numbers) <= _MAX_LENGTH).all():
+                found = shown(value, 80)
+                raise LumitreeError(f"{name} is {found}; expected {count} finite numbers")
         check_range("spacing", self.spacing, 1 / _MAX_LENGTH, _MAX_LENGTH)
         if not np.linalg.norm(self.normal) > 0:
             raise LumitreeError("the normal of a plane is 0; expected a direction")
@@ -341,15 +347,6 @@ def _axes(normal: NDArray[np.float64]) -> NDArray[np.float64]:
     u = along - (along @ n) * n
     u /= np.linalg.norm(u)
     return np.stack([u, np.cross(n, u), n])
-
-
-def _check_vector(name: str, value: ArrayLike, count: int) -> None:
-    try:
-        numbers = np.asarray(value, np.float64)
-    except (TypeError, ValueError):
-        numbers = np.zeros(0)
-    if numbers.shape != (count,) or not (np.abs(numbers) <= _MAX_LENGTH).all():
-        raise LumitreeError(f"{name} is {shown(value, 80)}; expected {count} finite numbers")
 
 
 def _check_count(count: int) -> None:

@@ -36,7 +36,7 @@ class SavedImage(ImageResult):
         pixels: float32 [height, width, 3], linear radiance, W/(m² sr).
         settings: what made the image, as JSON text; the comment of the files.
         ev: exposure value of `png`, EV100: 1.2 x 2^ev cd/m² is white.
-        white_balance: colour temperature of the light to which `png` is adapted, K; None for no
+        white_balance: colour temperature of light that `png` shows white, K; None for no
             adaptation.
     """
 

@@ -94,8 +94,7 @@ class Photograph:
     Attributes:
         pixels: uint8 [H, W, 3], sRGB.
         ev: exposure, EV100.
-        white_balance: colour temperature of the light that is adapted to daylight, K; None for no
-            adaptation.
+        white_balance: colour temperature of light that is shown white, K; None for no adaptation.
     """
 
     pixels: NDArray[np.uint8]
@@ -159,7 +158,7 @@ class PhotoSettings:
         scaled = bloomed(_resolved(radiance, highlights, white_radiance(ev)), self.bloom)
         if light is not None:
             scaled = scaled @ light.adaptation().T.astype(np.float32)
-        kelvin = None if light is None else light.temperature
+        kelvin = None if light is None else light.white_temperature
         return Photograph(displayed(scaled, self.view), ev, kelvin)
 
     def _light(
@@ -190,11 +189,23 @@ class Light:
 
         White of this light goes `degree` of the way to D65, in XYZ; its luminance stays.
         """
-        white = _CAT16 @ xyz_from_srgb(np.ones(3))
-        light = np.maximum(_CAT16 @ self.xyz, 1e-3)
-        gains = self.degree * white / light + 1 - self.degree
-        adapted = np.linalg.solve(_CAT16, gains[:, None] * _CAT16)
+        adapted = np.linalg.solve(_CAT16, self._gains()[:, None] * _CAT16)
         return srgb_from_xyz((adapted @ xyz_from_srgb(np.eye(3)).T).T).T
+
+    @property
+    def white_temperature(self) -> float:
+        """Colour temperature of the light that becomes D65, K: nearer to it than this light."""
+        white = np.array(np.linalg.solve(_CAT16, _daylight() / self._gains()), np.float64)
+        return self.temperature if self.degree == 1 else xyz_temperature(white)[0]
+
+    def _gains(self) -> NDArray[np.float64]:
+        light = np.maximum(_CAT16 @ self.xyz, 1e-3)
+        return self.degree * _daylight() / light + 1 - self.degree
+
+
+def _daylight() -> NDArray[np.float64]:
+    """D65 in the space of CAT16."""
+    return _CAT16 @ xyz_from_srgb(np.ones(3))
 
 
 def check_exposure(exposure: float | str) -> None:
@@ -253,7 +264,7 @@ def automatic_ev(radiance: NDArray[np.floating]) -> float:
 def light_on_scene(
     radiance: NDArray[np.floating], albedo: NDArray[np.floating] | None = None
 ) -> Light | None:
-    """The light on the surfaces of an image [H, W, 3]; None for a black image.
+    """The light on the surfaces of an image [H, W, 3]; None if there is none, or it is coloured.
 
     With the albedo [H, W, 3] of the surfaces it is radiance over albedo. Without it bright surfaces
     count most, which are mostly white.
@@ -276,7 +287,7 @@ def light_on_scene(
         return None
     low, high = _COLOURED
     degree = _ADAPTATION * min(max((high - abs(duv)) / (high - low), 0.0), 1.0)
-    return Light(xyz / xyz[1], temperature, degree)
+    return Light(xyz / xyz[1], temperature, degree) if degree else None
 
 
 def bloomed(image: NDArray[np.float32], share: float) -> NDArray[np.float32]:

@@ -49,7 +49,7 @@ class RenderResult(SavedImage):
         pixels: float32 [height, width, 3], linear radiance, W/(m² sr).
         settings: what made the image, as JSON text; the comment of the files.
         ev: exposure value of `png`, EV100: 1.2 x 2^ev cd/m² is white.
-        white_balance: colour temperature of the light to which `png` is adapted, K; None for no
+        white_balance: colour temperature of light that `png` shows white, K; None for no
             adaptation.
         resolution: width and height in pixels.
         spp: samples per pixel.
@@ -176,7 +176,7 @@ def render(
             light stays a little warm, and not to light that is coloured on purpose; the colour
             temperature of a light that is to be white, K, 1000 to 20,000; or "off".
         view: view transform of `png`: "agx", in which bright colours approach white slowly; or
-            "srgb", which clips them, for measuring.
+            "srgb", which clips them; for measuring, with a white balance "off" and no bloom.
         bloom: share of the light of `png` that is scattered as in a lens or an eye, 0 to 1.
         so_far: function that is called with the image so far, without layers and before denoising,
             after the first pass and then every two seconds or more.

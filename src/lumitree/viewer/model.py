@@ -79,7 +79,10 @@ def page_model(asset: Asset) -> PageModel:
     # The pattern of an emitter is the pattern of its emission.
     means[faces[np.array([row.emits for row in rows])[surfaces]]] = 1.0
     lights = studio_lights(portrait_half_width(asset), 1.0)
-    soft = _sent_out(_unlit(asset), vertices, means, *visible, lights)
+    # By the light of the studio alone, the lamp emits nothing.
+    dark = tuple(dataclasses.replace(shape, radiance=None) for shape in geometry.shapes)
+    unlit = dataclasses.replace(asset, geometry=dataclasses.replace(geometry, shapes=dark))
+    soft = _sent_out(unlit, vertices, means, *visible, lights)
     largest_soft = float(soft.max()) or 1.0
 
     description = {
@@ -108,13 +111,6 @@ def page_model(asset: Asset) -> PageModel:
         "surfaces": surfaces.astype(np.uint8 if len(rows) <= 256 else np.uint16),
     }
     return PageModel(description, arrays)
-
-
-def _unlit(asset: Asset) -> Asset:
-    """The asset, whose geometry emits nothing."""
-    assert asset.geometry is not None
-    shapes = tuple(dataclasses.replace(shape, radiance=None) for shape in asset.geometry.shapes)
-    return dataclasses.replace(asset, geometry=dataclasses.replace(asset.geometry, shapes=shapes))
 
 
 def _sent_out(

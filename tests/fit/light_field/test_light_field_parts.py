@@ -74,6 +74,12 @@ def test_the_light_field_alone(tmp_path):
     # It hides nothing and shows nothing to rays.
     radiance, transmittance = again.eval([[0, 0, 5]], [[0, 0, -1]])
     assert (radiance.tolist(), transmittance.tolist()) == ([[0, 0, 0]], [1])
+    metrics = lumitree.evaluate(
+        again, "lamp.xml", views=4, resolution=24, spp=16, irradiance_paths=1 << 16
+    ).metrics
+    assert all(np.isfinite(value) for value in metrics.values() if value is not None)
+    assert metrics["irradiance_ratio"] == pytest.approx(1, abs=0.05)
+    assert metrics["flux_error"] < 0.05
 
 
 def test_equal_calls_give_equal_files(tmp_path):
@@ -322,19 +328,6 @@ def test_an_interruption_after_the_bake_keeps_the_asset(monkeypatch, capsys):
     assert again.irradiance is not None
     assert_equal_fields(again.asset.light_field, kept.light_field)
     assert sorted(os.listdir()) == ["lamp.lumitree", "lamp.xml"]
-
-
-@pytest.mark.slow
-def test_a_light_field_alone_is_evaluated():
-    """Its appearance gets finite figures; its irradiance agrees with the luminaire's."""
-    lumitree.bake("lamp.xml", "lamp.lumitree", standard(parts=["light"]))
-    metrics = lumitree.evaluate(
-        "lamp.lumitree", "lamp.xml", views=4, resolution=24, spp=16,
-        irradiance_paths=1 << 16,
-    ).metrics  # fmt: skip
-    assert all(np.isfinite(value) for value in metrics.values() if value is not None)
-    assert metrics["irradiance_ratio"] == pytest.approx(1, abs=0.05)
-    assert metrics["flux_error"] < 0.05
 
 
 def test_a_light_field_alone_has_nothing_to_refine():

@@ -85,18 +85,8 @@ def shapes_of(name, folder):
 
 
 SCENES = [
-    "clutter",
-    "pane",
-    "frosted",
-    "beside fog",
-    "in fog",
-    "in milk",
-    "in coloured milk",
-    "coloured glass",
-    "in coloured glass",
-    "smooth diffuse",
-    "smooth mirror",
-    "smooth glass",
+    *("clutter", "pane", "frosted", "beside fog", "in fog", "in milk", "in coloured milk"),
+    *("coloured glass", "in coloured glass", "smooth diffuse", "smooth mirror", "smooth glass"),
 ]
 QUICK_SCENES = ["clutter", "beside fog", "in coloured milk", "smooth glass"]
 

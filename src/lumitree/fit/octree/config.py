@@ -163,7 +163,7 @@ class CalibrationConfig(_Settings):
     max_band: int = _setting(1, (0, MAX_L))
     prior_paths: float = _setting(1000.0, _PRIOR)
     region_levels: int = _setting(3, (0, MAX_TREE_DEPTH))
-    min_factor: float = _setting(0.1, _SHARE)
+    min_factor: float = _setting(0.1, (1e-6, 1.0))
     max_shift: float = _setting(2.0, (0.0, 1e6))
 
     def __post_init__(self) -> None:
