@@ -15,7 +15,7 @@ SOURCE = ROOT / "src/lumitree"
 
 # Lines of Python by package of `src/lumitree`; "" are the modules beside the packages.
 LINES = {
-    "": 400,
+    "": 405,
     "asset": 2_800,
     "cli": 1_730,
     "core": 4_830,
