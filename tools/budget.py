@@ -15,20 +15,20 @@ SOURCE = ROOT / "src/lumitree"
 
 # Lines of Python by package of `src/lumitree`; "" are the modules beside the packages.
 LINES = {
-    "": 400,
+    "": 405,
     "asset": 2_800,
-    "cli": 1_760,
-    "core": 4_900,
+    "cli": 1_730,
+    "core": 4_830,
     "exports": 3_600,
-    "fit": 5_900,
+    "fit": 5_850,
     "formats": 4_100,
     "lamp": 10_450,
-    "many": 600,
+    "many": 620,
     "measure": 5_150,
     "octree": 1_050,
     "rendering": 9_420,
     "trace": 1_900,
-    "viewer": 1_240,
+    "viewer": 1_290,
 }
 FILES = 216
 OTHERS = {

@@ -126,7 +126,9 @@ def test_one_failure_does_not_lose_the_others(folder, capsys):
     assert "dark  failed: dark.xml has no emitter" in lines[1]
     assert "no  failed: no.glb is not a GLB file" in lines[2]
     files = sorted(str(path) for path in Path("out").rglob("*.*"))
-    assert files == ["out/a.lumitree", "out/index-files/a.jpg", "out/index.html"]
+    images = ["out/index-files/a.jpg", "out/index-files/a.svg"]
+    assert files == ["out/a.lumitree", *images, "out/index.html"]
+    assert 'src="index-files/a.svg"' in Path("out/index.html").read_text()
     text = Path("out/index.html").read_text()
     assert text.count("<article>") == 3
     assert "failed: dark.xml has no emitter" in text

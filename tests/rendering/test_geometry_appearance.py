@@ -1,6 +1,5 @@
 """The geometry of an asset in images: against the explicit lamp, and what it must not change."""
 
-import dataclasses
 from typing import Any
 
 import numpy as np
@@ -8,13 +7,9 @@ import pytest
 from scipy import stats
 
 import lumitree
-from lumitree.asset.asset import light_field_asset
 from lumitree.core.frames import rotation, similarity
-from lumitree.fit.light_field.bake import bake_light_field
-from lumitree.lamp.luminaire import load_luminaire
-from lumitree.lamp.stored_geometry import stored_geometry
 from lumitree.rendering.scene import place_shapes
-from support import tiny_bakes
+from support.explicit_lamps import baked_once
 from support.lamps import GLASS, cube, scene, sphere
 from support.slow import slow, slow_but
 
@@ -40,19 +35,7 @@ PLACE = similarity(rotation([0, 1, 1], 20), 0.4, [0, 1, 0])
 
 @pytest.fixture(scope="module")
 def make(mi, tmp_path_factory):
-    """A function: the luminaire of a scene's text, and its asset with geometry."""
-    folder = tmp_path_factory.mktemp("lamps")
-
-    def made(text):
-        path = folder / f"lamp{len(list(folder.iterdir()))}.xml"
-        path.write_text(text)
-        lamp = load_luminaire(path)
-        config = dataclasses.replace(tiny_bakes.LIGHT_FIELD, paths=1 << 20, batch=1 << 20)
-        light_field = bake_light_field(lamp, config, tmp_path_factory.mktemp("state"))
-        asset = light_field_asset(light_field, lamp.frame, lamp.name)
-        return lamp, dataclasses.replace(asset, geometry=stored_geometry(lamp))
-
-    return made
+    return baked_once(tmp_path_factory.mktemp("lamps"), paths=1 << 20)
 
 
 @pytest.fixture(scope="module")
@@ -227,6 +210,16 @@ def test_surfaces_that_lie_in_the_faces_of_the_box_are_met(make):
         assert_same_expectation(ours, theirs)
 
 
+def assert_direct_light_is_the_field(asset, below, **sensor):
+    """A floor gets the same with the geometry as with the field: nothing is added by the shapes."""
+    objects = {"sensor": camera([0.9, 1.2, 2.4], [0.4, 0, 1.2], 25) | sensor, "floor": below}
+    ours = passes(objects | baked(asset), spp=2048, max_depth=2)
+    field = passes(objects | baked(asset, "field"), spp=2048, seed=500, max_depth=2)
+    assert ours.mean() > 1e-3
+    assert_same_expectation(ours, field)
+    return ours
+
+
 @pytest.mark.parametrize(
     "bsdf",
     [
@@ -236,14 +229,7 @@ def test_surfaces_that_lie_in_the_faces_of_the_box_are_met(make):
     ],
 )
 def test_direct_light_is_the_light_field_once(specular, bsdf):
-    """A floor gets the same with the geometry as with the field: nothing is added by the shapes."""
-    _, asset = specular
-    objects = {"sensor": camera([0.9, 1.2, 2.4], [0.4, 0, 1.2], 25), "floor": floor(bsdf)}
-    options: dict[str, Any] = {"max_depth": 2}
-    ours = passes(objects | baked(asset), spp=2048, **options)
-    field = passes(objects | baked(asset, "field"), spp=2048, seed=500, **options)
-    assert ours.mean() > 1e-3
-    assert_same_expectation(ours, field)
+    assert_direct_light_is_the_field(specular[1], floor(bsdf))
 
 
 @pytest.mark.slow

@@ -1,6 +1,5 @@
 """Lamps of opal glass shown by their geometries, against the explicit lamps."""
 
-import dataclasses
 from typing import Any
 
 import numpy as np
@@ -9,7 +8,9 @@ from test_geometry_appearance import (
     GREY,
     PASSES,
     ROUGH,
+    assert_direct_light_is_the_field,
     assert_same_expectation,
+    baked,
     camera,
     explicit,
     floor,
@@ -18,12 +19,8 @@ from test_geometry_appearance import (
 )
 
 import lumitree
-from lumitree.asset.asset import light_field_asset
-from lumitree.core.frames import rotation, similarity
-from lumitree.fit.light_field.bake import bake_light_field
-from lumitree.lamp.luminaire import load_luminaire
-from lumitree.lamp.stored_geometry import stored_geometry
-from support import tiny_bakes
+from lumitree.core.frames import similarity
+from support.explicit_lamps import baked_once
 from support.lamps import GLASS, cube, scene, sphere
 from support.slow import slow
 
@@ -41,7 +38,6 @@ MILK = (
     '<float name="scale" value="{}"/><rgb name="albedo" value="0.95,0.9,0.8"/>'
     '<phase type="hg"><float name="g" value="0.3"/></phase></medium>'
 )
-PLACE = similarity(rotation([0, 1, 1], 20), 0.4, [0, 1, 0])
 DEEP: dict[str, Any] = {"max_depth": 200, "rr_depth": 40}
 
 
@@ -74,26 +70,7 @@ LAMPS = {
 
 @pytest.fixture(scope="module")
 def make(mi, tmp_path_factory):
-    """A function: the luminaire of a scene's text, and its asset with geometry."""
-    folder = tmp_path_factory.mktemp("lamps")
-    known = {}
-
-    def made(text):
-        if text not in known:
-            path = folder / f"lamp{len(known)}.xml"
-            path.write_text(text)
-            lamp = load_luminaire(path)
-            config = dataclasses.replace(tiny_bakes.LIGHT_FIELD, paths=1 << 18, batch=1 << 18)
-            light_field = bake_light_field(lamp, config, tmp_path_factory.mktemp("state"))
-            asset = light_field_asset(light_field, lamp.frame, lamp.name)
-            known[text] = lamp, dataclasses.replace(asset, geometry=stored_geometry(lamp))
-        return known[text]
-
-    return made
-
-
-def baked(asset, place=PLACE, appearance: Any = "geometry"):
-    return {"lamp": lumitree.shape(asset, place, appearance=appearance)}
+    return baked_once(tmp_path_factory.mktemp("lamps"), paths=1 << 18)
 
 
 def seen_alone():
@@ -140,7 +117,7 @@ def test_paths_from_elsewhere_do_not_find_the_lights_in_the_lamp(make, name):
     sensor = camera([0.5, 0.35, 1.2], [0.3, 0, 0.6], 25)
     objects = {"sensor": sensor, "floor": floor({"type": "diffuse", "reflectance": 0.9})}
     place = similarity(np.eye(3), 0.4, [0, 0.45, 0])
-    ours = passes(objects | baked(asset, place), spp=1024, **DEEP).mean(axis=(1, 2))
+    ours = passes(objects | baked(asset, place=place), spp=1024, **DEEP).mean(axis=(1, 2))
     theirs = passes(objects | explicit(lamp, place), spp=4096, seed=500, **DEEP).mean(axis=(1, 2))
     error = np.hypot(ours.std(0), theirs.std(0)) / np.sqrt(PASSES)
     assert (np.abs(ours.mean(0) - theirs.mean(0)) < 4 * error + 0.02 * theirs.mean(0)).all()
@@ -159,28 +136,19 @@ def test_light_that_scatters_in_the_lamp_is_shown_at_any_depth(make):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["smooth", slow("frosted and hollow")])
 def test_direct_light_is_the_light_field_once(make, name):
-    """A floor gets the same with the geometry as with the field: nothing is added by the shapes."""
-    _, asset = make(LAMPS[name])
-    sensor = camera([0.9, 1.2, 2.4], [0.4, 0, 1.2], 25)
-    objects = {"sensor": sensor, "floor": floor({"type": "diffuse"})}
-    ours = passes(objects | baked(asset), spp=2048, max_depth=2)
-    field = passes(objects | baked(asset, appearance="field"), spp=2048, seed=500, max_depth=2)
-    assert ours.mean() > 1e-3
-    assert_same_expectation(ours, field)
+    assert_direct_light_is_the_field(make(LAMPS[name])[1], floor({"type": "diffuse"}))
 
 
 @pytest.mark.slow
 def test_fog_gets_the_light_of_the_lamp(make):
     """A scattering in a medium of the room is a receiver like any other."""
     _, asset = make(LAMPS["smooth"])
-    sensor = camera([0.9, 1.2, 2.4], [0.4, 0, 1.2], 25)
     fog = {"type": "homogeneous", "sigma_t": 0.3, "albedo": 0.8}
-    objects = {"sensor": sensor | {"medium": fog}, "floor": floor({"type": "diffuse"})}
-    ours = passes(objects | baked(asset), spp=2048, max_depth=2)
-    field = passes(objects | baked(asset, appearance="field"), spp=2048, seed=500, max_depth=2)
-    clear = passes({**objects, "sensor": sensor} | baked(asset), spp=256, max_depth=2)
-    assert_same_expectation(ours, field)
-    assert abs(ours.mean() / clear.mean() - 1) > 0.05
+    clear, foggy = (
+        assert_direct_light_is_the_field(asset, floor({"type": "diffuse"}), **medium)
+        for medium in ({}, {"medium": fog})
+    )
+    assert abs(foggy.mean() / clear.mean() - 1) > 0.05
 
 
 @pytest.mark.slow
@@ -204,7 +172,7 @@ def test_a_medium_gets_the_own_light_of_its_lamp_alone(make):
         "floor": floor({"type": "diffuse"}),
         "other": lumitree.shape(asset, above, appearance="geometry"),
     }
-    ours = passes(objects | baked(dark_asset, below), spp=2048, **DEEP)
+    ours = passes(objects | baked(dark_asset, place=below), spp=2048, **DEEP)
     theirs = passes(objects | explicit(dark, below), spp=2048, seed=500, **DEEP)
     assert ours.mean() > 1e-3
     assert_same_expectation(ours, theirs)

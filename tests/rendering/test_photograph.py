@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 
 from lumitree.core.images import auto_exposure, tonemap
-from lumitree.core.photometry import blackbody_colour, luminance, xyz_from_srgb
+from lumitree.core.photometry import (
+    blackbody_colour,
+    srgb_from_xyz,
+    xyz_from_srgb,
+    xyz_temperature,
+)
 from lumitree.errors import LumitreeError
 from lumitree.rendering.photograph import (
     Highlights,
@@ -13,6 +18,7 @@ from lumitree.rendering.photograph import (
     bloomed,
     ev_of_white,
     light_on_scene,
+    white_for,
     white_radiance,
 )
 
@@ -87,25 +93,43 @@ def test_automatic_exposure_is_by_blocks_and_ignores_what_is_no_number():
     PhotoSettings(exposure=f"ev={automatic_ev(np.zeros((8, 8, 3)))}")
 
 
-@pytest.mark.parametrize("temperature", [2700.0, 4000.0, 9000.0])
+@pytest.mark.parametrize("temperature", [2200.0, 2700.0, 4000.0, 9000.0])
 def test_grey_under_a_lamp_comes_closer_to_grey(mi, temperature):
-    """Automatic: 70 % of the way in XYZ. A number: the whole way."""
-    grey = 0.3 * np.array(blackbody_colour(temperature))
-    light = light_on_scene(np.broadcast_to(grey, (16, 16, 3)))
-    assert light is not None
-    assert light.temperature == pytest.approx(temperature, rel=0.01)
-    adapted = light.adaptation() @ grey
-    neutral = np.full(3, luminance(grey) / 683)
-    assert xyz_from_srgb(adapted) == pytest.approx(
-        xyz_from_srgb(0.7 * neutral + 0.3 * grey), rel=1e-4
-    )
-    given = PhotoSettings(exposure="ev=9", white_balance=temperature, view="srgb", bloom=0)
-    shown = given.photograph(np.full((8, 8, 3), grey))
-    assert np.ptp(shown.pixels[0, 0].astype(int)) <= 1
-    assert shown.white_balance == temperature
-    # Automatic white balance shows light between this one and daylight white.
-    low, high = sorted((temperature, 6504.0))
-    assert low < light.white_temperature < high
+    """Automatic: 70 % of the way in reciprocal temperatures. A number: the whole way."""
+    grey = np.full((16, 16, 3), 0.3 * np.array(blackbody_colour(temperature)))
+    automatic = PhotoSettings(exposure="ev=9", view="srgb", bloom=0).photograph(grey)
+    expected = 1 / (0.3 / 6504 + 0.7 / temperature)
+    assert automatic.white_balance == pytest.approx(expected, rel=0.01)
+    # The number that is printed shows other images alike.
+    settings = {"exposure": "ev=9", "view": "srgb", "bloom": 0}
+    alike = PhotoSettings(white_balance=automatic.white_balance, **settings).photograph(grey)
+    assert np.abs(alike.pixels.astype(int) - automatic.pixels).max() <= 2
+    whole = PhotoSettings(white_balance=temperature, **settings).photograph(grey)
+    assert np.ptp(whole.pixels[0, 0].astype(int)) <= 1
+    assert whole.white_balance == temperature
+
+
+@pytest.mark.parametrize("temperature", [2200.0, 2700.0, 3000.0, 4000.0])
+def test_warm_light_stays_warm_and_does_not_become_pink(mi, temperature):
+    """It is shown near the Planckian locus; 70 % of a straight line is 0.007 below it at 2200 K."""
+    light = xyz_from_srgb(np.array(blackbody_colour(temperature)))
+    white = white_for(light)
+    assert white is not None
+    shown = white.adaptation() @ srgb_from_xyz(light)
+    kelvin, duv = xyz_temperature(xyz_from_srgb(shown))
+    assert temperature < kelvin < 6504
+    assert abs(duv) < 0.0025
+
+
+def test_white_for_light_between_colours_and_lamps(mi):
+    """Daylight is its own white, and greenish light gets a greenish one."""
+    daylight = xyz_from_srgb(np.ones(3))
+    white = white_for(daylight)
+    assert white is not None
+    assert white.xyz == pytest.approx(daylight, rel=2e-3)
+    greenish = white_for(xyz_from_srgb(np.array([0.8, 1.0, 0.6])))
+    assert greenish is not None
+    assert xyz_temperature(greenish.xyz)[1] > 0.005
 
 
 def test_white_balance_off_changes_nothing(image):
@@ -119,13 +143,15 @@ def test_the_albedo_tells_the_light_in_a_coloured_room(mi):
     radiance = np.broadcast_to(0.1 * lamp * paint, (16, 16, 3))
     light = light_on_scene(radiance, np.broadcast_to(paint, radiance.shape))
     assert light is not None
-    assert light.temperature == pytest.approx(3000, rel=0.01)
+    assert xyz_temperature(light)[0] == pytest.approx(3000, rel=0.01)
 
 
-def test_coloured_light_keeps_its_colour(mi):
-    for colour in ([0.0, 1.0, 0.1], [1.0, 0.0, 1.0]):
-        assert light_on_scene(np.broadcast_to(colour, (16, 16, 3))) is None
-    assert light_on_scene(np.zeros((8, 8, 3))) is None
+@pytest.mark.parametrize("colour", [[0.0, 1.0, 0.1], [1.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
+def test_coloured_light_keeps_its_colour(mi, colour):
+    image = np.full((16, 16, 3), np.array(colour))
+    shown = PhotoSettings(view="srgb", bloom=0).photograph(image)
+    assert shown.white_balance is None
+    assert (shown.pixels == plain().photograph(image).pixels).all()
 
 
 @pytest.mark.parametrize(

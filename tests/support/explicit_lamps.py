@@ -1,25 +1,43 @@
 """Images of baked lamps beside images of the explicit ones."""
 
 import dataclasses
+import functools
 
 import numpy as np
 
 from support import tiny_bakes
-from support.lamps import lamp_of
+from support.lamps import scene
 
 BLACK = '<bsdf type="diffuse"><rgb name="reflectance" value="0,0,0"/></bsdf>'
 
 
 def baked(folder, *shapes, paths=1 << 20):
     """The luminaire of some shapes, and its asset with geometry."""
+    return baked_scene(folder, scene(*shapes), paths, depth=5)
+
+
+def baked_once(folder, paths):
+    """A function: the luminaire of a scene's text, and its asset with geometry; made once."""
+
+    @functools.cache
+    def made(text):
+        return baked_scene(folder / f"lamp{len(list(folder.iterdir()))}", text, paths, depth=3)
+
+    return made
+
+
+def baked_scene(folder, text, paths, depth):
+    """As `baked`, of the text of a scene, with a light field of this depth."""
     from lumitree.asset.asset import light_field_asset
     from lumitree.fit.light_field.bake import bake_light_field
+    from lumitree.lamp.luminaire import load_luminaire
     from lumitree.lamp.stored_geometry import stored_geometry
 
     folder.mkdir(exist_ok=True)
-    lamp = lamp_of(folder, *shapes)
+    (folder / "lamp.xml").write_text(text)
+    lamp = load_luminaire(folder / "lamp.xml")
     config = dataclasses.replace(
-        tiny_bakes.LIGHT_FIELD, paths=paths, batch=min(paths, 1 << 20), depth=5
+        tiny_bakes.LIGHT_FIELD, paths=paths, batch=min(paths, 1 << 20), depth=depth
     )
     asset = light_field_asset(
         bake_light_field(lamp, config, folder / "state"), lamp.frame, lamp.name

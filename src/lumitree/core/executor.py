@@ -85,7 +85,7 @@ def check_executor(executor: Executor | None) -> None:
 def run_tasks(
     executor: Executor,
     function: Callable[..., R],
-    arguments: Iterable[tuple[Any, ...]],
+    arguments: Iterable[tuple[object, ...]],
     *,
     what: str,
     total: int | None = None,
@@ -122,7 +122,7 @@ def run_tasks(
         ...         write(index, view)
     """
     check_executor(executor)
-    pending: dict[Future[Any], int] = {}
+    pending: dict[Future[tuple[R, list[str]]], int] = {}
     try:
         yield _results(executor, function, arguments, pending, (what, total, remedy), in_order)
     finally:
@@ -143,8 +143,8 @@ def tasks_at_once(executor: Executor) -> int:
 def _results(
     executor: Executor,
     function: Callable[..., R],
-    arguments: Iterable[tuple[Any, ...]],
-    pending: dict[Future[Any], int],
+    arguments: Iterable[tuple[object, ...]],
+    pending: dict[Future[tuple[R, list[str]]], int],
     names: tuple[str, int | None, str],
     in_order: bool,
 ) -> Iterator[tuple[int, R]]:
@@ -159,7 +159,10 @@ def _results(
                 pending[future] = index
             if not pending:
                 return
-            awaited, done = [next(iter(pending))] if in_order else list(pending), set[Future[Any]]()
+            awaited, done = (
+                [next(iter(pending))] if in_order else list(pending),
+                set[Future[tuple[R, list[str]]]](),
+            )
             while not done:
                 with passed_on():
                     done = wait(awaited, _WAIT_SECONDS, FIRST_COMPLETED).done
@@ -174,7 +177,7 @@ def _results(
 
 
 def _run(
-    version: str, variant: str | None, function: Callable[..., R], arguments: tuple[Any, ...]
+    version: str, variant: str | None, function: Callable[..., R], arguments: tuple[object, ...]
 ) -> tuple[R, list[str]]:
     """Run a task in a worker; returns its result, and the texts of its warnings."""
     if version != __version__:

@@ -1,4 +1,4 @@
-"""OpenUSD: a layer with lights, surfaces and photometric files beside it, or one package.
+"""OpenUSD: a layer with lights, surfaces and photometric files in a folder, or one package.
 
 A light of UsdLux has a luminance, cd/m²: intensity · colour · profile, over the area of its surface
 if `normalize` is set. A sphere of the radius r sends its luminance times π r² in each direction,
@@ -8,6 +8,7 @@ and its area is 4 π r²; so with the intensity 4 I its luminous intensity is I 
 import importlib
 from collections.abc import Sequence
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -55,10 +56,10 @@ _TURN = -90.0
 _ALL_DIRECTIONS = 180.0
 
 
-def load_usd() -> Any:
+def load_usd() -> ModuleType:
     """The package `pxr`, whose modules state no types; refuses to go on without it."""
     try:
-        library: Any = importlib.import_module("pxr")
+        library = importlib.import_module("pxr")
         for name in _MODULES:
             importlib.import_module(f"pxr.{name}")
     except ImportError as error:

@@ -1,5 +1,6 @@
 """Materials of USD: UsdPreviewSurface, and `standard_surface` of MaterialX for glass and metal."""
 
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -33,7 +34,7 @@ class MaterialWriter:
     """
 
     def __init__(
-        self, pxr: Any, stage: Any, parent: str, images: PbrImages, *, materialx: bool
+        self, pxr: ModuleType, stage: Any, parent: str, images: PbrImages, *, materialx: bool
     ) -> None:
         self.pxr, self.stage, self.images = pxr, stage, images
         self._parent, self._materialx = parent, materialx
@@ -123,7 +124,7 @@ class _Shader:
         """Its output, a token, to which a material is connected."""
         return self._shader.CreateOutput(name, self._types.Token)
 
-    def input(self, name: str, kind: str, value: Any) -> None:
+    def input(self, name: str, kind: str, value: object) -> None:
         """An input of a type of USD."""
         self._shader.CreateInput(name, getattr(self._types, kind)).Set(value)
 

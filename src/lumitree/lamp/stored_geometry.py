@@ -15,7 +15,6 @@ from lumitree.asset.geometry import (
     ARRAYS,
     UNIT_SHAPES,
     AssetGeometry,
-    Medium,
     MeshArrays,
     MeshShape,
     Shape,
@@ -103,7 +102,9 @@ class _Reader:
         ):
             plugin = node.props.plugin_name()
             with naming(partial("shape {!r}".format, name)):
-                properties = dataclasses.replace(properties, **_media(shape))
+                sides = {"interior": shape.interior_medium(), "exterior": shape.exterior_medium()}
+                media = {side: stored_medium(each) for side, each in sides.items() if each}
+                properties = dataclasses.replace(properties, **media)
                 mesh: MeshArrays = {}
                 # A rectangle is a mesh to Mitsuba.
                 if shape.is_mesh() and plugin not in UNIT_SHAPES:
@@ -246,12 +247,6 @@ def _colour(props: mi.Properties, name: str) -> Parameter:
         texture = props.get_texture(name)
     value = np.ravel(np.array(load_mitsuba().traverse(texture)["value"], np.float64)).tolist()
     return (value[0], value[1], value[2]) if len(value) == 3 else value[0]
-
-
-def _media(shape: mi.Shape) -> dict[str, Medium]:
-    """Media inside and outside of a mi.Shape, by the names of `Shape`."""
-    found = {"interior": shape.interior_medium(), "exterior": shape.exterior_medium()}
-    return {side: stored_medium(medium) for side, medium in found.items() if medium is not None}
 
 
 def _turn(mesh: MeshArrays) -> None:

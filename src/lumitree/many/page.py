@@ -1,4 +1,4 @@
-"""The index page of a folder of assets: an HTML file with relative links, and thumbnails."""
+"""The index page of a folder of assets: HTML with relative links, thumbnails and polar curves."""
 
 import html
 import io
@@ -36,6 +36,7 @@ article > div img { width: 100%; height: 100%; object-fit: contain; }
 section { padding: 0.7rem 1rem 1rem; overflow-wrap: anywhere; }
 h2 { font-size: 1.05rem; margin: 0 0 0.4rem; }
 a { color: #fcd34d; }
+section img { width: 60%; display: block; margin: 0.6rem auto 0; }
 dl { display: grid; grid-template-columns: auto 1fr; gap: 0 0.9rem; margin: 0; }
 dd { margin: 0; text-align: right; }
 .failed { color: #fca5a5; }
@@ -63,12 +64,15 @@ def check_index(path: Path) -> None:
 
 
 def write_thumbnail(folder: Path, name: str, asset: Asset) -> None:
-    """Render the small image of a lamp for the page of its folder."""
+    """Render the small image of a lamp for the page of its folder, and draw its polar curve."""
     from lumitree.rendering.studio import portrait
+    from lumitree.viewer.polar import polar_svg
 
     stream, image = io.BytesIO(), portrait(asset, _PIXELS, _SAMPLES)
     Image.fromarray(image.pixels).save(stream, format="JPEG", quality=85)
     write_bytes(_thumbnail(folder, name), stream.getvalue())
+    if curve := polar_svg(asset):
+        write_bytes(_thumbnail(folder, name, "svg"), curve.encode())
 
 
 def write_index(folder: Path, lamps: Sequence[BakedLamp]) -> None:
@@ -107,19 +111,22 @@ def counted(count: int) -> str:
     return f"{count:,} lamp{'' if count == 1 else 's'}"
 
 
-def _thumbnail(folder: Path, name: str) -> Path:
+def _thumbnail(folder: Path, name: str, kind: str = "jpg") -> Path:
     # Not beside the asset, where an image of this name may be the user's.
-    return folder / THUMBNAILS / f"{name}.jpg"
+    return folder / THUMBNAILS / f"{name}.{kind}"
 
 
 def _card(folder: Path, lamp: BakedLamp) -> str:
     name = html.escape(shown(lamp.name, 200))
-    image, heading, rows = "no image", name, ""
+    image, heading, rows, curve = "no image", name, "", ""
     if lamp.path is not None:
         heading = f'<a href="{html.escape(quote(lamp.path.name))}">{name}</a>'
         if _thumbnail(folder, lamp.name).exists():
             source = html.escape(f"{THUMBNAILS}/{quote(lamp.name)}.jpg")
             image = f'<img alt="{name}" src="{source}" loading="lazy">'
+        if _thumbnail(folder, lamp.name, "svg").exists():
+            source = html.escape(f"{THUMBNAILS}/{quote(lamp.name)}.svg")
+            curve = f'<img alt="polar curve of {name}" src="{source}" loading="lazy">'
         figures = {
             "flux": lumens_text(lamp.lumens),
             "file": f"{lamp.file_bytes / 1e6:.2f} MB",
@@ -132,6 +139,6 @@ def _card(folder: Path, lamp: BakedLamp) -> str:
     kind = ' class="failed"' if lamp.state == "failed" else ""
     note = f"<div{kind}>{html.escape(shown(text, 500))}</div>" if text else ""
     return (
-        f"<article><div>{image}</div><section><h2>{heading}</h2>{note}<dl>{rows}</dl></section>"
-        "</article>"
+        f"<article><div>{image}</div><section><h2>{heading}</h2>{note}<dl>{rows}</dl>"
+        f"{curve}</section></article>"
     )

@@ -34,7 +34,7 @@ from lumitree.rendering.view_transform import VIEWS, View, displayed
 # Log-average luminance of the scene relative to white. Side in pixels of the blocks over which it
 # is averaged: the logarithm of single pixels would measure their noise. Share of the blocks that is
 # at most so many times as bright as white.
-_KEY, _BLOCK, _BRIGHTEST = 0.36, 8, (0.95, 3.0)
+_KEY, _BLOCK, _BRIGHTEST = 0.5, 8, (0.95, 4.0)
 # Stops above and below the median block beyond which a block is no part of the scene: lamps and
 # windows, and openings into the dark.
 _ABOVE, _BELOW = 4.0, 7.0
@@ -59,6 +59,7 @@ _CAT16 = np.array(
         [-0.002079, 0.048952, 0.953127],
     ]
 )
+_D65, _D65_TEMPERATURE = xyz_from_srgb(np.ones(3)), 6504.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -94,7 +95,7 @@ class Photograph:
     Attributes:
         pixels: uint8 [H, W, 3], sRGB.
         ev: exposure, EV100.
-        white_balance: colour temperature of light that is shown white, K; None for no adaptation.
+        white_balance: colour temperature that is shown as white, K; None for no adaptation.
     """
 
     pixels: NDArray[np.uint8]
@@ -154,58 +155,66 @@ class PhotoSettings:
         """
         metered = radiance if metered is None else metered
         ev = exposure_value(self.exposure, automatic_ev(metered))
-        light = None if self.white_balance == "off" else self._light(metered, albedo)
+        white = self._white(metered, albedo)
         scaled = bloomed(_resolved(radiance, highlights, white_radiance(ev)), self.bloom)
-        if light is not None:
-            scaled = scaled @ light.adaptation().T.astype(np.float32)
-        kelvin = None if light is None else light.white_temperature
+        if white is not None:
+            scaled = scaled @ white.adaptation().T.astype(np.float32)
+        kelvin = None if white is None else white.temperature
         return Photograph(displayed(scaled, self.view), ev, kelvin)
 
-    def _light(
+    def _white(
         self, radiance: NDArray[np.floating], albedo: NDArray[np.floating] | None
-    ) -> "Light | None":
+    ) -> "White | None":
+        if self.white_balance == "off":
+            return None
         if isinstance(self.white_balance, str):
-            return light_on_scene(radiance, albedo)
-        xyz = blackbody_xyz(np.array([self.white_balance]))[0]
-        return Light(xyz / xyz[1], self.white_balance, 1.0)
+            light = light_on_scene(radiance, albedo)
+            return None if light is None else white_for(light)
+        return White(_blackbody(self.white_balance), self.white_balance)
 
 
 @dataclasses.dataclass(frozen=True)
-class Light:
-    """The light that falls on a scene.
+class White:
+    """Colour that a photograph shows as white.
 
     Attributes:
-        xyz: [3] its colour, with Y = 1.
+        xyz: [3], with Y = 1.
         temperature: correlated colour temperature, K.
-        degree: of the adaptation to it, 0 to 1.
     """
 
     xyz: NDArray[np.float64]
     temperature: float
-    degree: float
 
     def adaptation(self) -> NDArray[np.float64]:
-        """Matrix [3, 3] of linear sRGB: chromatic adaptation from this light to daylight, D65.
-
-        White of this light goes `degree` of the way to D65, in XYZ; its luminance stays.
-        """
-        adapted = np.linalg.solve(_CAT16, self._gains()[:, None] * _CAT16)
+        """Matrix [3, 3] of linear sRGB: chromatic adaptation of this colour to D65 (CAT16)."""
+        gains = (_CAT16 @ _D65) / np.maximum(_CAT16 @ self.xyz, 1e-3)
+        adapted = np.linalg.solve(_CAT16, gains[:, None] * _CAT16)
         return srgb_from_xyz((adapted @ xyz_from_srgb(np.eye(3)).T).T).T
 
-    @property
-    def white_temperature(self) -> float:
-        """Colour temperature of the light that becomes D65, K: nearer to it than this light."""
-        white = np.array(np.linalg.solve(_CAT16, _daylight() / self._gains()), np.float64)
-        return self.temperature if self.degree == 1 else xyz_temperature(white)[0]
 
-    def _gains(self) -> NDArray[np.float64]:
-        light = np.maximum(_CAT16 @ self.xyz, 1e-3)
-        return self.degree * _daylight() / light + 1 - self.degree
+def white_for(light: NDArray[np.float64]) -> White | None:
+    """The white that automatic white balance chooses for light of a colour [3], XYZ.
+
+    It lies between daylight and the light, in reciprocal temperatures along the Planckian locus: a
+    straight line between the two colours would pass through pink. None for coloured light.
+    """
+    temperature, duv = xyz_temperature(light)
+    low, high = _COLOURED
+    if math.isnan(temperature) or abs(duv) >= high:
+        return None
+    degree = _ADAPTATION * min((high - abs(duv)) / (high - low), 1.0)
+    chosen = 1 / ((1 - degree) / _D65_TEMPERATURE + degree / temperature)
+    # Distances from the locus are taken over alike.
+    off_light = light / light[1] / _blackbody(temperature)
+    off_daylight = _D65 / _blackbody(_D65_TEMPERATURE)
+    xyz = _blackbody(chosen) * off_light**degree * off_daylight ** (1 - degree)
+    return White(xyz, chosen)
 
 
-def _daylight() -> NDArray[np.float64]:
-    """D65 in the space of CAT16."""
-    return _CAT16 @ xyz_from_srgb(np.ones(3))
+def _blackbody(temperature: float) -> NDArray[np.float64]:
+    """XYZ [3] of a black body, with Y = 1."""
+    xyz = blackbody_xyz(np.array([temperature]))[0]
+    return xyz / xyz[1]
 
 
 def check_exposure(exposure: float | str) -> None:
@@ -263,8 +272,8 @@ def automatic_ev(radiance: NDArray[np.floating]) -> float:
 
 def light_on_scene(
     radiance: NDArray[np.floating], albedo: NDArray[np.floating] | None = None
-) -> Light | None:
-    """The light on the surfaces of an image [H, W, 3]; None if there is none, or it is coloured.
+) -> NDArray[np.float64] | None:
+    """Colour [3], XYZ, of the light on the surfaces of an image [H, W, 3]; None for a black image.
 
     With the albedo [H, W, 3] of the surfaces it is radiance over albedo. Without it bright surfaces
     count most, which are mostly white.
@@ -280,14 +289,7 @@ def light_on_scene(
         return None
     # The mean of a high power is decided by bright surfaces.
     level = blocks[scene].max()
-    colour = ((blocks[scene] / level) ** _POWER).mean(axis=0) ** (1 / _POWER)
-    xyz = xyz_from_srgb(colour)
-    temperature, duv = xyz_temperature(xyz)
-    if math.isnan(temperature):
-        return None
-    low, high = _COLOURED
-    degree = _ADAPTATION * min(max((high - abs(duv)) / (high - low), 0.0), 1.0)
-    return Light(xyz / xyz[1], temperature, degree) if degree else None
+    return xyz_from_srgb(((blocks[scene] / level) ** _POWER).mean(axis=0) ** (1 / _POWER))
 
 
 def bloomed(image: NDArray[np.float32], share: float) -> NDArray[np.float32]:

@@ -172,9 +172,10 @@ def render(
         exposure: stops more than automatic, -40 to 40, such as 1 for twice as bright; or "ev=9.5",
             an exposure value EV100, at which 1.2 x 2^9.5 cd/m² is white. Automatic is by the
             log-average luminance of the image without lamps, windows and openings into the dark.
-        white_balance: "auto", which adapts `png` to the light on the scene by 70 %, so that warm
-            light stays a little warm, and not to light that is coloured on purpose; the colour
-            temperature of a light that is to be white, K, 1000 to 20,000; or "off".
+        white_balance: "auto", 70 % of the way from daylight to the colour of the light on the
+            scene, so that warm light stays a little warm, while light that is coloured on purpose
+            keeps its colour; the colour temperature of a light that is to be white, K, 1000 to
+            20,000; or "off".
         view: view transform of `png`: "agx", in which bright colours approach white slowly; or
             "srgb", which clips them; for measuring, with a white balance "off" and no bloom.
         bloom: share of the light of `png` that is scattered as in a lens or an eye, 0 to 1.

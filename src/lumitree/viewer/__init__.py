@@ -4,5 +4,6 @@
 scripts and shaders of the folder `page/`: one shader follows paths through the geometry, one
 traverses the field as `octree` does, and one sums the illuminance of the walls of a box over the
 cells of the light field. `model` traces the surfaces, and `triangles` removes the noise of the
-paths. `light_as_field` makes a field of an asset that has a light field only.
+paths. `light_as_field` makes a field of an asset that has a light field only, and `polar`
+draws the polar curve of a page.
 """

@@ -111,6 +111,7 @@ def make_page(asset: Asset) -> str:
     import matplotlib
 
     from lumitree.viewer.packing import pack_asset
+    from lumitree.viewer.polar import polar_svg
 
     packed = pack_asset(asset)
     shaders = {name: _file(f"{name}.glsl") for name in _SHADERS}
@@ -121,6 +122,7 @@ def make_page(asset: Asset) -> str:
         "STYLE": _file("style.css"),
         "ASSET": _json({**packed.description, "block": packed.block, "colours": colour_map}),
         "SHADERS": _json(shaders),
+        "POLAR": polar_svg(asset),
         "SCRIPT": "\n".join(_file(name) for name in _SCRIPTS),
     }
     # The parts are joined, and not replaced one after the other: a name may look like a place.
