@@ -137,7 +137,7 @@ def tiny_demo(mi, tiny, tmp_path, monkeypatch):
 
 
 def test_demo(tiny_demo, tmp_path):
-    quick = demo.run("quick")
+    quick = demo.demo("quick")
     assert set(quick["room"]) == {"baked", "explicit"}
     assert "evaluate" not in quick
     assert quick["room"]["baked"]["spp"] >= 16

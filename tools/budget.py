@@ -15,12 +15,12 @@ SOURCE = ROOT / "src/lumitree"
 
 # Lines of Python by package of `src/lumitree`; "" are the modules beside the packages.
 LINES = {
-    "": 400,
+    "": 405,
     "asset": 2_800,
-    "cli": 1_760,
-    "core": 4_900,
+    "cli": 1_730,
+    "core": 4_830,
     "exports": 3_600,
-    "fit": 5_900,
+    "fit": 5_850,
     "formats": 4_100,
     "lamp": 10_450,
     "many": 620,

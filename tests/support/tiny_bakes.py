@@ -35,6 +35,23 @@ GROUPS = OctreeConfig(
     split=SplitConfig(indicator_rays=1 << 15),
 )
 
+# As few rays in all stages, for what does not depend on how good the result is.
+SMALLEST = {
+    "max_radiance": {"rays": 1 << 16},
+    "estimate": {
+        "rays": 1 << 17,
+        "growth_rays": 1 << 15,
+        "batch_rays": 1 << 15,
+        "start_level": 3,
+        "max_level": 4,
+    },
+    "calibration": {"rays": 1 << 12},
+    "flux": {"rays": 1 << 14},
+    "held_out": {"rays": 1 << 12},
+    "refine": {"rays": 1 << 11},
+    "split": {"indicator_rays": 1 << 12},
+}
+
 
 def bake_config(**options):
     """Settings of a bake of all parts in seconds, about four million rays and paths in all.

@@ -10,7 +10,7 @@ import glob
 import json
 import math
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -58,7 +58,7 @@ class Command:
     """A command of the program.
 
     Attributes:
-        function: name of the public function whose options it has; empty for none.
+        function: name of the public function, or `demo`, whose options it has; empty for none.
         run: called with the arguments; returns a `Result`, or a dictionary for `--json`. All files
             are written when it returns. Default: the function.
         show: prints the result; called with it and the arguments. Default: prints its figures, and
@@ -136,24 +136,10 @@ _WORKERS = {
 }
 
 
-@contextlib.contextmanager
-def workers(given: Given) -> Iterator[Given]:
-    """Context with the arguments, with an `executor` in place of `workers` and `scheduler`."""
-    given = dict(given)
-    count, address = given.pop("workers", None), given.pop("scheduler", None)
-    from lumitree.core.executor import dask_executor, process_pool
-
-    with contextlib.ExitStack() as stack:
-        if count is not None:
-            given["executor"] = stack.enter_context(process_pool(count))
-        elif address is not None:
-            given["executor"] = stack.enter_context(dask_executor(address))
-        yield given
-
-
 def call(function: str, given: Given, *positional: Any) -> Any:
     """Call a public function with arguments of a command line."""
     import lumitree
+    from lumitree.core.executor import dask_executor, process_pool
     from lumitree.lamp.source import LuminaireSource
 
     given = dict(given)
@@ -162,8 +148,12 @@ def call(function: str, given: Given, *positional: Any) -> Any:
     for name in ("source", "luminaire", "target"):
         if name in given and isinstance(given[name], str):
             given[name] = LuminaireSource(given[name], **reading)
-    with workers(given) as arguments:
-        return getattr(lumitree, function)(*positional, **arguments)
+    with contextlib.ExitStack() as stack:
+        if (count := given.pop("workers", None)) is not None:
+            given["executor"] = stack.enter_context(process_pool(count))
+        if (address := given.pop("scheduler", None)) is not None:
+            given["executor"] = stack.enter_context(dask_executor(address))
+        return getattr(lumitree, function)(*positional, **given)
 
 
 # Options that begin a group: `--at` belongs to the `--place` before it. A group is an object of a
@@ -469,11 +459,6 @@ def _illuminance(given: Given) -> Any:
     return result
 
 
-def _show_collected(result: Any, _: Given) -> None:
-    print_lamps(result.lamps)
-    print_open(result.index)
-
-
 def _mix(given: Given) -> Any:
     given = dict(given)
     output = given.pop("output")
@@ -523,13 +508,12 @@ def _list(_: Given) -> Any:
 
 
 def _demo(given: Given) -> Any:
-    from lumitree import demo
+    from lumitree.demo import demo
     from lumitree.rendering.photograph import PhotoSettings
 
     settings = PhotoSettings(**{name: given[name] for name in _SHOWN if name in given})
-    return demo.run(
-        given.get("output", "demo-output"), given.get("variant"), given.get("full", False), settings
-    )
+    others = {name: given[name] for name in ("output", "full", "variant") if name in given}
+    return demo(**others, settings=settings)
 
 
 def _show_demo(result: Given, given: Given) -> None:
@@ -603,7 +587,7 @@ COMMANDS: dict[str, Command] = {
         },
         text="Bake a luminaire, the views of a dataset or a photometric file into an asset.",
     ),
-    "collect": Command("collect", show=_show_collected),
+    "collect": Command("collect", show=_show_bake),
     "refine": Command("refine", opens="path", options=lambda: _needed("refine")),
     "mix": Command(
         "mix",
@@ -694,22 +678,9 @@ COMMANDS: dict[str, Command] = {
     "export": Command("export", show=lambda result, _: print_exported(result)),
     "blender-extension": Command("blender_extension", opens="file"),
     "demo": Command(
-        "",
+        "demo",
         _demo,
         _show_demo,
-        lambda: {
-            "output": _file(
-                "Folder for the images, the report and the asset.", "-o", "demo-output"
-            ),
-            "full": Option(
-                bool,
-                "Make a radiance field too, and compare views of it: 6 minutes on 2 CPU cores in "
-                "place of 1.",
-                False,
-            ),
-            "variant": options_of("bake")["variant"],
-            **{name: options_of("render")[name] for name in _SHOWN},
-        },
-        text="Bake a built-in lamp, and compare it with the explicit lamp in a room.",
+        lambda: {name: options_of("render")[name] for name in _SHOWN},
     ),
 }

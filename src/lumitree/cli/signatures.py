@@ -118,8 +118,8 @@ def with_signature(
 
 @functools.cache
 def _public() -> dict[str, str]:
-    """Modules of the public names."""
-    found = {}
+    """Modules of the public names, and of the demonstration."""
+    found = {"demo": "lumitree.demo"}
     for each in ast.parse((_ROOT / "__init__.pyi").read_text(encoding="utf-8")).body:
         if isinstance(each, ast.ImportFrom):
             found |= {name.asname or name.name: each.module or "" for name in each.names}

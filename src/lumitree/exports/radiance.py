@@ -5,7 +5,7 @@ the type `colordata`: three tables, of R, G and B, over the light, and over the 
 of the octahedral map, with a border (`core.octahedral.bordered`). Radiance interpolates linearly
 between their values, as the light field is defined, so that no direction is resampled.
 
-Files beside `lamp.rad`: `lamp.cal`, the map, and `lamp.r.dat`, `lamp.g.dat` and `lamp.b.dat`.
+The folder `lamp_files` beside `lamp.rad` has `light.cal`, the map, and `r.dat`, `g.dat`, `b.dat`.
 """
 
 from collections.abc import Iterator

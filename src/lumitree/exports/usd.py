@@ -1,4 +1,4 @@
-"""OpenUSD: a layer with lights, surfaces and photometric files beside it, or one package.
+"""OpenUSD: a layer with lights, surfaces and photometric files in a folder, or one package.
 
 A light of UsdLux has a luminance, cd/m²: intensity · colour · profile, over the area of its surface
 if `normalize` is set. A sphere of the radius r sends its luminance times π r² in each direction,

@@ -70,6 +70,8 @@ _PLAN_NOTE = (
 )
 _SECTION, _EDGES, _LAMPS, _ENCLOSED = "#1c1917", "#44403c", "#f97316", "#a8a29e"
 _LUX = colormaps["viridis"].with_extremes(bad=_ENCLOSED)
+# Degrees from the axis up to which light is drawn as a cone.
+_WIDEST = 85
 _COLOURS = {"C0-C180": "#1f4e9c", "C90-C270": "#c2410c"}
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem;
@@ -460,20 +462,24 @@ def _cone(axes: Any, step: float, intensity: NDArray[np.float64]) -> None:
     axes.set_yticks(range(1, 6), [f"{each} m" for each in range(1, 6)])
     axes.tick_params(labelsize=8)
     axes.grid(axis="y", color="#a8a29e", lw=0.6)
-    sides = []
+    sides: list[float | None] = []
     for name, c in PLANES.items():
         curve = plane_curve(Grid(step), intensity, c)
         half = len(curve) // 2 if is_up else 0
         angles = half_widths(np.roll(curve, -half), step, BEAM)
-        # Beyond this the light is in no cone.
-        right, left = np.tan(np.deg2rad(np.minimum(angles, 85)))
-        sides.append("wide" if max(angles) > 85 else right + left)
-        ends, label = (-5.5 * left, 0, 5.5 * right), f"{name}: {angles[1]:.0f}° + {angles[0]:.0f}°"
-        axes.fill(ends, (5.5, 0, 5.5), color=_COLOURS[name], alpha=0.25, lw=0, label=label)
+        right, left = np.tan(np.deg2rad(angles))
+        # Wider light is in no cone.
+        is_cone = max(angles) <= _WIDEST
+        sides.append(right + left if is_cone else None)
+        label = f"{angles[1]:.0f}° + {angles[0]:.0f}°" if is_cone else f"above {2 * _WIDEST}°"
+        ends = (-5.5 * left, 0, 5.5 * right) if is_cone else (0, 0, 0)
+        style = {"color": _COLOURS[name], "alpha": 0.25, "lw": 0}
+        axes.fill(ends, (5.5, 0, 5.5), label=f"{name}: {label}", **style)
     for distance in range(1, 6):
         lux = f"{float(f'{max(down, up) / distance**2:.3g}'):,.12g} lx"
-        size = " x ".join(s if isinstance(s, str) else f"{s * distance:.2f} m" for s in sides)
-        axes.text(5.3, distance, f"{lux}\n{size}", fontsize=7.5, va="center")
+        size = " x ".join("wide" if s is None else f"{s * distance:.2f} m" for s in sides)
+        text = lux if sides == [None, None] else f"{lux}\n{size}"
+        axes.text(5.3, distance, text, fontsize=7.5, va="center")
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), fontsize=8, frameon=False)
 
 

@@ -10,7 +10,7 @@ from lumitree.errors import LumitreeError, LumitreeWarning
 from support.fields import leaf_field
 from support.lamps import AREA, cube, sphere
 from support.slow import slow
-from support.tiny_bakes import octree_config
+from support.tiny_bakes import SMALLEST, octree_config
 from support.traced_lamps import stream
 
 RAYS = 1 << 19
@@ -22,18 +22,7 @@ def config(**options):
 
 
 def small_config(**options):
-    """Settings with few rays in all stages, for what does not depend on how good the result is."""
-    estimate = {"rays": 1 << 17, "growth_rays": 1 << 15, "batch_rays": 1 << 15}
-    few = {
-        "max_radiance": {"rays": 1 << 16},
-        "estimate": {**estimate, "start_level": 3, "max_level": 4},
-        "calibration": {"rays": 1 << 12},
-        "flux": {"rays": 1 << 14},
-        "held_out": {"rays": 1 << 12},
-        "refine": {"rays": 1 << 11},
-        "split": {"indicator_rays": 1 << 12},
-    }
-    return config(**{**few, **options})
+    return config(**{**SMALLEST, **options})
 
 
 @pytest.fixture

@@ -15,25 +15,9 @@ from lumitree.fit.config import BakeConfig
 from lumitree.fit.octree import config
 from lumitree.fit.octree.config import CalibrationConfig, EstimateConfig, OctreeConfig
 from support.lamps import AREA, sphere
-from support.tiny_bakes import GROUPS
+from support.tiny_bakes import SMALLEST, octree_config
 
-FEW = dataclasses.replace(
-    GROUPS,
-    max_radiance=dataclasses.replace(GROUPS.max_radiance, rays=1 << 16),
-    estimate=dataclasses.replace(
-        GROUPS.estimate,
-        rays=1 << 17,
-        growth_rays=1 << 15,
-        batch_rays=1 << 15,
-        start_level=3,
-        max_level=4,
-    ),
-    calibration=dataclasses.replace(GROUPS.calibration, rays=1 << 12),
-    flux=dataclasses.replace(GROUPS.flux, rays=1 << 14),
-    held_out=dataclasses.replace(GROUPS.held_out, rays=1 << 12),
-    refine=dataclasses.replace(GROUPS.refine, rays=1 << 11),
-    split=dataclasses.replace(GROUPS.split, indicator_rays=1 << 12),
-)
+FEW = octree_config(**SMALLEST)
 SETTINGS = [
     (group.name, field.name, field.metadata["limits"])
     for group in dataclasses.fields(OctreeConfig)

@@ -4,7 +4,7 @@ import dataclasses
 import math
 from typing import Literal, get_args
 
-from lumitree.core.arguments import check_choice
+from lumitree.core.arguments import check_choice, check_count
 from lumitree.core.harmonics import MAX_L
 from lumitree.core.transmittance import EMISSION_WEIGHTS, LAWS, EmissionWeights, Law
 from lumitree.errors import LumitreeError
@@ -88,9 +88,9 @@ class TrainConfig:
         check_choice("colour_loss", self.colour_loss, COLOUR_LOSSES)
         check_choice("emission_weights", self.emission_weights, EMISSION_WEIGHTS)
         for name, highest in _HIGHEST.items():
-            self._check_integer(name, 1, highest)
-        self._check_integer("num_frequencies", 0, MAX_FREQUENCIES)
-        self._check_integer("l_max", 0, MAX_L)
+            check_count(name, getattr(self, name), 1, highest)
+        check_count("num_frequencies", self.num_frequencies, 0, MAX_FREQUENCIES)
+        check_count("l_max", self.l_max, 0, MAX_L)
         start, end = self.learning_rate_start, self.learning_rate_end
         if not (math.isfinite(start) and 0 < end <= start):
             raise LumitreeError(
@@ -117,9 +117,3 @@ class TrainConfig:
             learning_rate_end=3e-4,
             skip_empty=True,
         )
-
-    def _check_integer(self, name: str, low: int, high: int) -> None:
-        value = getattr(self, name)
-        whole = isinstance(value, int) and not isinstance(value, bool)
-        if not whole or not low <= value <= high:
-            raise LumitreeError(f"{name} is {value!r}; expected a whole number, {low} to {high}")

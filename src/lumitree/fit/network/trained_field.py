@@ -59,14 +59,14 @@ class TrainedField:
         chunk = _CPU_CHUNK if jax.default_backend() == "cpu" else _GPU_CHUNK
         padded = np.zeros((chunk, 3), np.float32)  # so that each function is compiled once
         for start in range(0, len(positions), chunk):
-            held = slice(start, min(start + chunk, len(positions)))
-            count = held.stop - start
-            padded[:count] = positions[held]
+            rows = slice(start, min(start + chunk, len(positions)))
+            count = rows.stop - start
+            padded[:count] = positions[rows]
             inside = np.asarray(self._contains(padded))[:count]
             if inside.any():
                 sigma, values = self._network(padded)
-                density[held] = np.asarray(sigma)[:count] * inside
-                coefficients[held] = np.asarray(values)[:count]
+                density[rows] = np.asarray(sigma)[:count] * inside
+                coefficients[rows] = np.asarray(values)[:count]
         return density, coefficients
 
     def render(
@@ -86,15 +86,15 @@ class TrainedField:
         radiance = np.zeros((len(origins), 3), np.float32)
         opacity = np.zeros(len(origins), np.float32)
         size = self._rays_per_call
-        held_origins, held_directions = (np.zeros((size, 3), np.float32) for _ in range(2))
-        held_directions[:] = (0, 0, 1)
+        padded_origins, padded_directions = (np.zeros((size, 3), np.float32) for _ in range(2))
+        padded_directions[:] = (0, 0, 1)
         for start in range(0, len(origins), size):
-            held = slice(start, min(start + size, len(origins)))
-            count = held.stop - start
-            held_origins[:count], held_directions[:count] = origins[held], directions[held]
-            colours, opacities = self._render(held_origins, held_directions)
-            radiance[held] = np.asarray(colours)[:count]
-            opacity[held] = np.asarray(opacities)[:count]
+            rows = slice(start, min(start + size, len(origins)))
+            count = rows.stop - start
+            padded_origins[:count], padded_directions[:count] = origins[rows], directions[rows]
+            colours, opacities = self._render(padded_origins, padded_directions)
+            radiance[rows] = np.asarray(colours)[:count]
+            opacity[rows] = np.asarray(opacities)[:count]
         return radiance, opacity
 
 
