@@ -35,7 +35,7 @@ BASELINE = "bake"
 ROOM = "office.xml --place lamp.lumitree --at 0,2.3,-0.3 --size 0.4 --lumens 3000"
 # In an order in which each finds the files of those before it.
 COMMANDS = {
-    "--help": "--help",
+    "help": "--help",
     BASELINE: "bake lamp/luminaire.xml -o lamp.lumitree",
     "info": "info lamp.lumitree",
     "preview lamp": "preview lamp/luminaire.xml -o lamp.png",
@@ -131,6 +131,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--first", action="store_true", help="measure a first run too")
     parser.add_argument("--work", metavar="FOLDER", type=Path, default=Path("commands.work"))
     parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--warm", action="store_true", help="kernels are compiled: no first round")
 
 
 def run(options: argparse.Namespace) -> None:
@@ -141,14 +142,16 @@ def run(options: argparse.Namespace) -> None:
     for tree, folder in folders.items():
         folder.mkdir(parents=True, exist_ok=True)
         write_inputs(folder)
-        if "extract" in names and not (folder / "run/run.json").exists():
+        if "extract" in names and not (folder / "run/run.npz").exists():
             for arguments in TRAINING:
                 seconds(arguments, folder, trees[tree])
     found: dict[str, dict[str, list[dict[str, float]]]] = {name: {} for name in names}
-    for index in range(options.rounds + 1):
+    for index in range(1 if options.warm else 0, options.rounds + 1):
         for name in names:
             for tree, folder in folders.items():
                 taken = seconds(COMMANDS[name], folder, trees[tree].resolve())
+                figures = f"{taken['cpu']:.1f} s of the processor, {taken['wall']:.1f} s"
+                print(f"round {index}: {name}, {tree}: {figures}", file=sys.stderr, flush=True)
                 # Round 0 compiles kernels.
                 found[name].setdefault(tree, []).extend([taken] if index else [])
     if options.first:
