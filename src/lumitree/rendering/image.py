@@ -118,8 +118,11 @@ def mix(
             path of a file that `RenderResult.save_layers` has written.
         gain: by name of the layer, factors [3] on R, G and B of its light, or one number for all;
             0 to 10⁶. Default: 1.
-        exposure, white_balance, view, bloom: of `png`, as for `render`. Automatic ones are by the
-            layers without gains, so that a dimmed lamp looks dimmed.
+        exposure: of `png`, as for `render`. Automatic is by the layers without gains, so that a
+            dimmed lamp looks dimmed.
+        white_balance: of `png`, as for `render`. Automatic is by the layers without gains.
+        view: view transform of `png`, as for `render`.
+        bloom: of `png`, as for `render`.
 
     Returns:
         The image as `pixels`, float32 [height, width, 3], linear radiance in W/(m² sr), and
