@@ -86,9 +86,14 @@ def bake_many(
         config: settings of the bakes of all lamps. Default: the settings of `quality`. A
             photometric file gets the part "light" only, and a dataset the part "field" only, if
             the parts have it.
-        quality, parts, time, rays, lumens, temperature, seed: for all lamps, as for `bake`. A
-            setting that some lamps do not use is a warning.
+        quality: for all lamps, as for `bake`. A setting that only some lamps use is a warning.
         method: only "octree".
+        parts: as for `bake`.
+        time: budget of the radiance field of each lamp, s.
+        rays: budget of rays of each lamp.
+        lumens: luminous flux of each lamp, lm.
+        temperature: colour temperature of the flux of each lamp, K.
+        seed: root seed of each lamp.
         executor: runs the bakes, a task for each lamp: any `concurrent.futures.Executor`, such as
             the one of `process_pool` or of a Dask client. Its workers need the same files under the
             same paths. Default: this process bakes one lamp after another.
