@@ -265,7 +265,7 @@ def test_damaged_dataset(network_packages, capsys, folder):
     for text, message in (
         ("{", "not a valid manifest"),
         ("[]", "not a valid manifest"),
-        (manifest.replace('"version": 1', '"version": 9'), "version 9, this lumitree reads 1"),
+        (manifest.replace('"version": 1', '"version": 9'), "version is '9'; this lumitree reads 1"),
         (manifest.replace("view_000001.exr", "../x.exr"), "outside the dataset's folder"),
         (manifest.replace('"resolution": 16', '"resolution": 8'), "holds channels"),
     ):

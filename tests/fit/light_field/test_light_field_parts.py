@@ -206,7 +206,7 @@ def test_unknown_and_empty_parts_are_refused_before_any_work(untraced, parts, me
     [
         ("light,nonsense", "part is 'nonsense'; expected light, field"),
         ("nonsense", "part is 'nonsense'"),
-        ("", "part is ''"),
+        ("", "--parts needs a value; found ''"),
         ("light,", "part is ''"),
         ("light, field", "part is ' field'"),
         ("\x1b[2J\n", r"part is '\x1b[2J\n'"),
