@@ -187,7 +187,7 @@ def test_an_asset_is_compared_with_its_file(folder, capsys):
     assert not (folder / "sheet.png").exists()
     assert "held-out" not in capsys.readouterr().out
     for target, options, message in (
-        ("c.Ray", {}, "bounding box of 0.2 x 0.0002 x 0.1, and .*lumitree photometry"),
+        ("c.Ray", {}, "bounding boxes of 0.2 x 0.0002 x 0.1 and .*lumitree photometry"),
         ("a.ies", {"irradiance_paths": 0}, "nothing is compared"),
         (LuminaireSource("a.ies", keep=("x",)), {}, "keep: not for an asset or a photometric file"),
     ):

@@ -33,6 +33,7 @@ def test_emissive_sphere_has_flux_4_pi2_r2_l(lamp, light_paths, rounding):
 
 @pytest.mark.slow
 def test_standard_error_is_the_spread_of_independent_estimates(lamp):
+    from lumitree.trace.flux import BATCH
     from support.camera_flux import flux_by_camera_paths
 
     estimates = [flux_by_camera_paths(lamp, 1, seed=seed) for seed in range(12)]
@@ -40,7 +41,7 @@ def test_standard_error_is_the_spread_of_independent_estimates(lamp):
     expected = np.mean([flux.lumens_error for flux in estimates])
     # Rays hit the sphere or miss it: the error of one estimate follows from the hit rate p.
     hit = 1 / lamp.bounding_radius**2
-    assert expected == pytest.approx(LUMENS * np.sqrt((1 - hit) / hit / (1 << 20)), rel=0.01)
+    assert expected == pytest.approx(LUMENS * np.sqrt((1 - hit) / hit / BATCH), rel=0.01)
     # 99.8 % interval of a spread from 12 samples (chi-square, 11 degrees of freedom).
     assert 0.33 < lumens.std(ddof=1) / expected < 1.69
     assert abs(lumens.mean() - LUMENS) < 4 * expected / np.sqrt(12)
