@@ -44,10 +44,10 @@ class Plane:
     about `spacing` wide, and the points are their centres.
 
     Attributes:
-        centre: [3] of the rectangle, scene units.
-        normal: [3], of any length.
-        extent: sides along u and v, scene units.
-        spacing: distance of neighbouring points, scene units.
+        centre: centre of the rectangle [3], scene units.
+        normal: [3], of any length; default: y.
+        extent: sides along u and v, scene units; default: 1 and 1.
+        spacing: distance of neighbouring points, scene units; default: 0.25.
         name: for tables and plots; default: "plane" and a number.
 
     Raises:

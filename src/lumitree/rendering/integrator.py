@@ -187,7 +187,7 @@ class Vertex:
     active_medium: mi.Bool        # In a medium, which scatters
     last: mi.Bool                 # Whether only null interactions may follow
     opaque: mi.Bool               # Whether the surface lets no light through
-    thin_glass: mi.Bool           # Whether it is glass that bends no ray (`geometry`)
+    straight_glass: mi.Bool       # Whether it is glass that bends no ray (`geometry`)
     behind: mi.Bool               # Whether the ray has met this glass from inside
     # fmt: on
 
@@ -759,13 +759,13 @@ def find_vertex(
         si[hit.hit_medium] = medium_paths.scattering_point(path.ray, free_flight.distance)
     active_surface, active_medium = active & ~hit.hit_medium, active & hit.hit_medium
 
-    thin_glass, behind = mi.Bool(False), mi.Bool(False)
+    straight_glass, behind = mi.Bool(False), mi.Bool(False)
     if scene.shows_geometry:
         # Glass that light crosses straight is seen from outside on both sides.
-        thin_glass = (
+        straight_glass = (
             active_surface & ~path.specular_chain & ((bsdf.flags() & CROSSED_STRAIGHT) != 0)
         )
-        behind = thin_glass & (si.wi.z < 0)
+        behind = straight_glass & (si.wi.z < 0)
         si.wi.z = dr.select(behind, -si.wi.z, si.wi.z)
     opaque = active_surface & is_opaque(bsdf)
     return Vertex(
@@ -777,7 +777,7 @@ def find_vertex(
         active_medium,
         last,
         opaque,
-        thin_glass,
+        straight_glass,
         behind,
     )
 
@@ -810,7 +810,9 @@ def scatter(scene: PathScene, path: PathState, vertex: Vertex, scattering: Scatt
     active = vertex.active_surface | vertex.active_medium
     null = vertex.active_surface & mi.has_flag(bs.sampled_type, mi.BSDFFlags.Null)
     if scene.shows_geometry:
-        crossed = vertex.thin_glass & mi.has_flag(bs.sampled_type, mi.BSDFFlags.DeltaTransmission)
+        crossed = vertex.straight_glass & mi.has_flag(
+            bs.sampled_type, mi.BSDFFlags.DeltaTransmission
+        )
         null |= crossed
         # Radiance is not compressed, as it would be in a denser medium.
         path.β[crossed] *= dr.square(bs.eta)
