@@ -260,9 +260,8 @@ def automatic_ev(radiance: NDArray[np.floating]) -> float:
 
     Lamps, windows and openings into the dark are no part of the scene.
     """
-    finite = np.nan_to_num(np.asarray(radiance, np.float64), nan=0.0, posinf=0.0, neginf=0.0)
-    means = block_means(luminance(finite), _BLOCK)
-    scene = means[_of_scene(means)]
+    blocks, of_scene = _scene(radiance)
+    scene = luminance(blocks)[of_scene]
     if not scene.size:
         return ev_of_white(1.0)
     share, most = _BRIGHTEST
@@ -278,9 +277,7 @@ def light_on_scene(
     With the albedo [H, W, 3] of the surfaces it is radiance over albedo. Without it bright surfaces
     count most, which are mostly white.
     """
-    finite = np.nan_to_num(np.asarray(radiance, np.float64), nan=0.0, posinf=0.0, neginf=0.0)
-    blocks = _blocks(finite)
-    scene = _of_scene(luminance(blocks))
+    blocks, scene = _scene(radiance)
     if albedo is not None:
         reflected = _blocks(np.asarray(albedo, np.float64))
         scene &= reflected.min(axis=-1) > _LEAST_ALBEDO
@@ -327,6 +324,13 @@ def _resolved(
             image += (filtered - bright) / white
     image = np.maximum(image, 0)
     return image * (_MOST / np.maximum(image.max(axis=-1, keepdims=True), _MOST))
+
+
+def _scene(radiance: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Blocks of an image, and which of them are of the scene."""
+    finite = np.nan_to_num(np.asarray(radiance, np.float64), nan=0.0, posinf=0.0, neginf=0.0)
+    blocks = _blocks(finite)
+    return blocks, _of_scene(luminance(blocks))
 
 
 def _blocks(pixels: NDArray[np.float64]) -> NDArray[np.float64]:
