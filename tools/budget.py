@@ -24,9 +24,9 @@ LINES = {
     "formats": 4_100,
     "lamp": 10_450,
     "many": 620,
-    "measure": 5_150,
+    "measure": 5_170,
     "octree": 1_050,
-    "rendering": 9_320,
+    "rendering": 9_410,
     "trace": 1_900,
     "viewer": 1_470,
 }

@@ -85,7 +85,8 @@ def test_plans_and_pages_have_the_outline(mi):
         shown = light_as_field(asset)
         # From above: no light in the corners of the box, the same as in the middle near its edge.
         half = asset.frame.half_extents * asset.frame.scale
-        where = np.array([[0.8, 1, 0.8], [0.65, 1, 0.65], [0.0, 1, 0.0]]) * (half + np.array([0, 1, 0]))
+        places = np.array([[0.8, 1, 0.8], [0.65, 1, 0.65], [0.0, 1, 0.0]])
+        where = places * (half + np.array([0, 1, 0]))
         corner, edge, middle = shown.eval(where, np.tile([0.0, -1, 0], (3, 1)))[0].mean(axis=1)
         assert corner == 0
         assert edge > 0.2 * middle > 0
