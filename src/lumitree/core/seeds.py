@@ -53,6 +53,7 @@ class Purpose(enum.IntEnum):
     SPECTRUM = 27  # flux of each emitter of a luminaire, by which its spectrum is weighted
     CELLS = 28  # cells of a light field; draw 0: light paths, 1: which segments
     FIELD_RAYS = 29  # rays of a radiance field, from which its light field is made; step: batch
+    DESIGN = 30  # root seeds of illuminance in a design; step: round, draw 1: of the check
 
 
 @dataclasses.dataclass(frozen=True)

@@ -237,6 +237,7 @@ class Plan:
         receivers: its points.
         lux, error, direct: [N] illuminance, its standard error, and its direct part, lx.
         floor: the room at a plane; None for other areas.
+        largest: of the colours, lx; default: the largest illuminance of the area.
     """
 
     area: AreaFigures
@@ -245,6 +246,7 @@ class Plan:
     error: NDArray[np.float64]
     direct: NDArray[np.float64]
     floor: FloorPlan | None
+    largest: float | None = None
 
     @property
     def height(self) -> float:
@@ -254,11 +256,11 @@ class Plan:
         return float(np.clip(_WIDTH * 0.8 * sides[1] / max(sides[0], 1e-9), 1.5, 9)) + 1.1
 
 
-def plan_png(plans: Sequence[Plan], direct_only: bool) -> bytes:
-    """The plans of areas, one below the other, as a PNG file."""
-    heights = [plan.height for plan in plans]
-    figure = Sheet(figsize=(_WIDTH, sum(heights)), dpi=_DPI, layout="constrained")
-    axes = figure.subplots(len(plans), 1, squeeze=False, height_ratios=heights)[:, 0]
+def plan_png(plans: Sequence[Plan], direct_only: bool, columns: int = 1) -> bytes:
+    """The plans of areas in rows of `columns` plans, as a PNG file."""
+    heights = [plan.height for plan in plans[::columns]]
+    figure = Sheet(figsize=(columns * _WIDTH, sum(heights)), dpi=_DPI, layout="constrained")
+    axes = figure.subplots(len(heights), columns, squeeze=False, height_ratios=heights).ravel()
     for each, plan in zip(axes, plans, strict=True):
         _draw_plan(figure, each, plan, direct_only)
     return figure.png()
@@ -286,7 +288,8 @@ def _draw_plan(figure: Figure, axes: Any, plan: Plan, direct_only: bool) -> None
         name, sign = _axis_name(along)
         axis.set_label_text(name)
         axis.set_major_formatter(lambda value, _, sign=sign: f"{sign * value + 0.0:g}")
-    levels = MaxNLocator(10).tick_values(0, area.largest if area.largest > 0 else 1.0)
+    largest = area.largest if plan.largest is None else plan.largest
+    levels = MaxNLocator(10).tick_values(0, largest if largest > 0 else 1.0)
     limits = {"vmin": 0, "vmax": levels[-1]}
     if plane is None:
         colours = axes.scatter(*place.T, c=plan.lux, s=12, **limits)
@@ -311,7 +314,7 @@ def _draw_plan(figure: Figure, axes: Any, plan: Plan, direct_only: bool) -> None
         for (u, v), value in zip(place, plan.lux, strict=True):
             if np.isfinite(value):
                 # Legible on the colour of the plan.
-                colour = "#111111" if value > 0.6 * area.largest else "#e7e5e4"
+                colour = "#111111" if value > 0.6 * largest else "#e7e5e4"
                 axes.text(u, v, f"{value:.3g}", color=colour, **style)
     figure.colorbar(colours, ax=axes, shrink=0.8, label="lx")
 

@@ -1,0 +1,357 @@
+"""Dim levels of lamps that give planes the illuminance that they have to have, at the least cost.
+
+The illuminance E of a point is linear in the dim levels x of the lamps: E = A x + F. Mean, least
+and largest illuminance of a plane are linear constraints of x, and U0 is linear too: each point has
+at least U0 times the mean. The levels are a linear program, of whole numbers where lamps are dimmed
+in steps.
+
+A is estimated, and the optimum is where points have just enough. Without a margin about half of
+the points at the limit would have too little, and the least of many more so. So each point keeps
+`margin` standard errors of its own sum from the limits. The error of a sum depends on x, so the
+program is solved a few times, with the errors at the levels before.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import warnings
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import Bounds, LinearConstraint, milp
+
+from lumitree.core.arguments import check_range
+from lumitree.errors import LumitreeError, LumitreeWarning, shown
+from lumitree.measure.receivers import AreaFigures, Plane
+
+if TYPE_CHECKING:
+    from lumitree.measure.illuminance import IlluminanceResult
+
+# Rounds in which the errors follow the levels.
+_ROUNDS = 4
+# Cost of a target that is missed, relative to the cost of all lamps at level 1.
+_LACK = 10.0
+# Levels in steps are optimal within this part of their cost.
+_GAP = 2e-3
+_NODES = 20_000
+# Halvings of the interval in which the largest uniformity is searched for.
+_HALVINGS = 12
+
+_Array = NDArray[np.float64]
+
+
+@dataclasses.dataclass(frozen=True)
+class TaskPlane(Plane):
+    """A plane, and the illuminance that `lumitree.design` gives it.
+
+    Attributes:
+        target: least mean illuminance, lx; 0 for none.
+        uniformity: least U₀, smallest over mean illuminance of its points, 0 to 1.
+        minimum: least illuminance of each of its points, lx.
+        maximum: largest illuminance of its points, lx; default: no limit.
+
+    Raises:
+        LumitreeError: as for `Plane`; or the numbers cannot all be true.
+    """
+
+    target: float = 0.0
+    uniformity: float = 0.0
+    minimum: float = 0.0
+    maximum: float | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_range("target", self.target, 0, 1e9, "lx")
+        check_range("uniformity", self.uniformity, 0, 1)
+        check_range("minimum", self.minimum, 0, 1e9, "lx")
+        if self.maximum is not None:
+            check_range("maximum", self.maximum, max(self.target, self.minimum), 1e9, "lx")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Task:
+    """A plane of a design with its points that are not inside solids.
+
+    Attributes:
+        name: of the plane, for messages.
+        plane: what it has to have.
+        points: [N] which of all points.
+        lamps: [N, L] illuminance of its points by each lamp at dim level 1, lx. In `best_step`
+            more columns are illuminance by steps of poses.
+        fixed: [N] illuminance by all other light, lx.
+        variance: [N, L] squares of the standard errors of `lamps`.
+    """
+
+    name: str
+    plane: TaskPlane
+    points: NDArray[np.int64]
+    lamps: _Array
+    fixed: _Array
+    variance: _Array
+
+    def lux(self, levels: _Array) -> _Array:
+        """[N] illuminance at dim levels [L]."""
+        return self.lamps @ levels + self.fixed
+
+    def error(self, levels: _Array) -> _Array:
+        """[N] standard errors of `lux`."""
+        return np.sqrt(self.variance @ levels**2)
+
+    def figures(self, area: AreaFigures, levels: _Array) -> AreaFigures:
+        """Figures of the plane at dim levels [L]; `area` has the numbers of its points."""
+        lux, error = np.full((2, area.count), np.nan)
+        lux[self.points - area.first] = self.lux(levels)
+        error[self.points - area.first] = self.error(levels)
+        return AreaFigures.of(area.name, area.first, lux, error)
+
+    def limits(
+        self, target: float, margin: _Array | float = 0.0
+    ) -> Iterator[tuple[_Array, _Array, float]]:
+        """Rows [M, L] and limits [M] that they may not exceed, and a size of both, lx.
+
+        Args:
+            target: least mean illuminance, lx.
+            margin: [N] distance of points from their limits, lx.
+        """
+        plane = self.plane
+        mean, fixed = self.lamps.mean(axis=0), self.fixed.mean()
+        yield -mean[None], np.array([fixed - target]), target
+        if plane.uniformity > 0:
+            rows = plane.uniformity * mean - self.lamps
+            limit = self.fixed - plane.uniformity * fixed - margin
+            yield rows, limit, plane.uniformity * max(target, plane.minimum)
+        if plane.minimum > 0:
+            yield -self.lamps, self.fixed - plane.minimum - margin, plane.minimum
+        if plane.maximum is not None:
+            yield self.lamps, plane.maximum - self.fixed - margin, plane.maximum
+
+
+def tasks_of(planes: Sequence[TaskPlane], result: IlluminanceResult, lamps: _Array) -> list[Task]:
+    """The planes with the light that their points get; points inside solids are left out.
+
+    The parts of lamps at a point are correlated. So their errors are scaled to the error of their
+    sum.
+
+    Args:
+        result: illuminance of the planes by lamp.
+        lamps: [L] whether each lamp is dimmed; the light of the others is fixed.
+    """
+    parts = result.by_lamp
+    assert parts is not None
+    # The first part is light of no lamp.
+    dimmed = np.append(False, lamps)
+    light = (parts.direct + parts.reflected)[dimmed].T
+    variance = (parts.direct_error**2 + parts.reflected_error**2)[dimmed].T
+    total = variance.sum(axis=1)
+    variance *= np.divide(result.total_error**2, total, out=np.ones_like(total), where=total > 0)[
+        :, None
+    ]
+    tasks = []
+    for plane, area in zip(planes, result.areas, strict=True):
+        known = area.first + np.flatnonzero(np.isfinite(result.total[area.part]))
+        if not len(known):
+            raise LumitreeError(f"all points of {shown(area.name, 200)} are inside solids; move it")
+        fixed = (parts.direct + parts.reflected)[~dimmed].sum(axis=0)
+        tasks.append(Task(area.name, plane, known, light[known], fixed[known], variance[known]))
+    return tasks
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Dimmers:
+    """The dim levels that there are.
+
+    Attributes:
+        group: [L] number of the dimmer of each lamp.
+        cost: [L] of each lamp at level 1.
+        brightest: largest dim level.
+        steps: number of equal steps up to it; None for any level.
+    """
+
+    group: NDArray[np.int64]
+    cost: _Array
+    brightest: float = 1.0
+    steps: int | None = None
+
+    @property
+    def lamps(self) -> _Array:
+        """[L, G] dim level of each lamp by the setting of each dimmer, 0 to `top`."""
+        unit = self.brightest / self.top
+        return unit * (self.group[:, None] == np.arange(self.group.max() + 1))
+
+    @property
+    def top(self) -> float:
+        """The largest setting."""
+        return self.brightest if self.steps is None else float(self.steps)
+
+
+def dim_levels(tasks: Sequence[Task], dimmers: Dimmers, margin: float) -> _Array:
+    """Dim levels [L] of least cost.
+
+    Args:
+        margin: standard errors by which points exceed their limits.
+
+    Raises:
+        LumitreeError: the targets cannot be reached; the message has what can.
+    """
+    found, errors = None, [np.zeros(len(task.fixed)) for task in tasks]
+    for _ in range(_ROUNDS):
+        levels = _cheapest(tasks, dimmers, [margin * error for error in errors])
+        if levels is None:
+            break
+        found, errors = levels, [task.error(levels) for task in tasks]
+    if found is None:
+        raise LumitreeError(_shortage(tasks, dimmers))
+    if levels is None:
+        warnings.warn(
+            "the targets are reached only without the margin for the errors of the illuminance; a "
+            "smaller error needs less of it",
+            LumitreeWarning,
+            stacklevel=3,
+        )
+    return found
+
+
+def equal_level(tasks: Sequence[Task], levels: _Array) -> float:
+    """The least common level of all lamps whose smallest illuminance is as large on each plane."""
+    everything = np.ones_like(levels)
+    ratios = [
+        (task.lux(levels).min() - task.fixed.min())
+        / (task.lux(everything).min() - task.fixed.min())
+        for task in tasks
+        if task.lux(everything).min() > task.fixed.min()
+    ]
+    return max(ratios, default=math.nan)
+
+
+def _cheapest(
+    tasks: Sequence[Task], dimmers: Dimmers, margins: Sequence[_Array | float]
+) -> _Array | None:
+    """Dim levels [L] of least cost; None if there are none."""
+    lamps = dimmers.lamps
+    parts = [
+        part
+        for task, margin in zip(tasks, margins, strict=True)
+        for part in task.limits(task.plane.target, margin)
+    ]
+    found = _solve(
+        dimmers.cost @ lamps,
+        [(rows @ lamps, limit) for rows, limit, _ in parts],
+        Bounds(0, dimmers.top),
+        np.full(lamps.shape[1], int(dimmers.steps is not None)),
+    )
+    return None if found is None else lamps @ np.clip(found, 0, dimmers.top)
+
+
+def best_step(
+    tasks: Sequence[Task], dimmers: Dimmers, low: _Array, high: _Array
+) -> tuple[float, _Array, _Array]:
+    """Dim levels, and steps of poses, that are best where the targets may be out of reach.
+
+    Args:
+        tasks: with a column for each step beside the lamps'.
+        low, high: [K] limits of the steps.
+
+    Returns:
+        Part of the whole cost, and ten times the largest part that lacks of a target; levels [L];
+        and steps [K].
+    """
+    smooth = dataclasses.replace(dimmers, steps=None)
+    lamps, steps = smooth.lamps, len(low)
+    count, settings = lamps.shape
+    columns = np.zeros((count + steps, settings + steps))
+    columns[:count, :settings], columns[count:, settings:] = lamps, np.eye(steps)
+    rows = []
+    for task in tasks:
+        for row, limit, size in task.limits(task.plane.target):
+            if size > 0:
+                # The last variable is the part that lacks.
+                rows.append((np.pad(row @ columns, ((0, 0), (0, 1)), constant_values=-size), limit))
+    cost = np.concatenate([dimmers.cost @ lamps / dimmers.cost.sum(), np.zeros(steps), [_LACK]])
+    lower = np.concatenate([np.zeros(settings), low, [0]])
+    upper = np.concatenate([np.full(settings, smooth.top), high, [np.inf]])
+    found = _solve(cost, rows, Bounds(lower, upper))
+    assert found is not None
+    return float(cost @ found), lamps @ found[:settings], found[settings:-1]
+
+
+def _solve(
+    cost: _Array,
+    rows: Sequence[tuple[_Array, _Array]],
+    bounds: Bounds,
+    whole: NDArray[np.int64] | None = None,
+) -> _Array | None:
+    """The variables of least cost for which rows do not exceed their limits; None without any."""
+    matrix = np.concatenate([row for row, _ in rows])
+    limit = np.concatenate([each for _, each in rows])
+    # Rows of about 1: the solver's tolerances are absolute.
+    size = np.maximum(np.abs(matrix).max(axis=1), 1e-300)
+    found = milp(
+        cost,
+        constraints=LinearConstraint(matrix / size[:, None], ub=limit / size),
+        bounds=bounds,
+        integrality=whole,
+        options={"mip_rel_gap": _GAP, "node_limit": _NODES},
+    )
+    return found.x
+
+
+def _fraction(tasks: Sequence[Task], dimmers: Dimmers) -> float:
+    """The largest part of all targets that can be reached at once, at most 1."""
+    smooth = dataclasses.replace(dimmers, steps=None)
+    lamps, rows = smooth.lamps, []
+    for task in tasks:
+        mean, *others = task.limits(0.0)
+        rows.append((np.append(mean[0] @ lamps, task.plane.target)[None], mean[1]))
+        rows += [(np.pad(row @ lamps, ((0, 0), (0, 1))), limit) for row, limit, _ in others]
+    cost = np.append(np.zeros(lamps.shape[1]), -1.0)
+    upper = np.append(np.full(lamps.shape[1], smooth.top), 1.0)
+    found = _solve(cost, rows, Bounds(0, upper))
+    return 0.0 if found is None else float(found[-1])
+
+
+def _shortage(tasks: Sequence[Task], dimmers: Dimmers) -> str:
+    """The message for targets that cannot be reached: which plane cannot get how much."""
+    parts = []
+    for task in tasks:
+        part = _fraction([task], dimmers)
+        if part >= 1 - 1e-6:
+            continue
+        name, plane = shown(task.name, 100), task.plane
+        even = dataclasses.replace(plane, uniformity=0.0)
+        most = _fraction([dataclasses.replace(task, plane=even)], dimmers) * plane.target
+        if most < plane.target * (1 - 1e-6):
+            parts.append(f"{name} gets at most {most:.4g} lx of {plane.target:g} lx")
+        else:
+            ratio = _largest_uniformity(task, dimmers)
+            parts.append(
+                f"{name} gets at most {part * plane.target:.4g} lx with the uniformity "
+                f"{plane.uniformity:g}, or at most the uniformity {ratio:.2g} with "
+                f"{plane.target:g} lx"
+            )
+    if parts:
+        return f"the targets cannot be reached: {'; '.join(parts)}"
+    part = _fraction(tasks, dimmers)
+    if part >= 1 - 1e-6:
+        return f"{dimmers.steps} dimming steps are too coarse for the targets; give more"
+    each = ", ".join(
+        f"{part * task.plane.target:.4g} of {task.plane.target:g} lx for {shown(task.name, 100)}"
+        for task in tasks
+        if task.plane.target
+    )
+    return f"the targets cannot be reached together, only {part:.0%} of them: {each}"
+
+
+def _largest_uniformity(task: Task, dimmers: Dimmers) -> float:
+    """The largest uniformity with which a plane has its target."""
+    low, high = 0.0, task.plane.uniformity
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        plane = dataclasses.replace(task.plane, uniformity=middle)
+        if _fraction([dataclasses.replace(task, plane=plane)], dimmers) >= 1 - 1e-6:
+            low = middle
+        else:
+            high = middle
+    return low
