@@ -93,8 +93,6 @@ from .measure.receivers import AreaFigures as AreaFigures
 from .measure.receivers import Plane as Plane
 from .measure.receivers import Surface as Surface
 from .rendering.asset_cache import load as load
-from .rendering.image import MixResult as MixResult
-from .rendering.image import mix as mix
 from .rendering.placement import Placement as Placement
 from .rendering.placement import read_placements as read_placements
 from .rendering.placement import write_placements as write_placements
@@ -103,5 +101,7 @@ from .rendering.register import shape as shape
 from .rendering.render import RenderResult as RenderResult
 from .rendering.render import render as render
 from .trace.light_field_config import LightFieldConfig as LightFieldConfig
+from .viewer.mix import MixResult as MixResult
+from .viewer.mix import mix as mix
 from .viewer.view import ViewResult as ViewResult
 from .viewer.view import view as view

@@ -295,6 +295,7 @@ def test_ugr_of_a_lamp_by_hand(mi, tmp_path, unit):
     assert found.ugr == pytest.approx(18.013, abs=0.01)
 
 
+@pytest.mark.slow
 def test_ugr_of_several_lamps(mi, tmp_path):
     """Sums over an array, lamps that are turned, scaled and dimmed, and one behind the eye."""
     source = panel(tmp_path)

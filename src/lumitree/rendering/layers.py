@@ -48,6 +48,8 @@ class Recorded:
         self_emission: [groups, H, W, 3], radiance of emitters of a lamp that reaches the camera by
             surfaces and media of this lamp's geometry only, not all of them specular.
         lit: [groups, H, W, 3], their other radiance: illumination.
+        squares: [groups, H, W], mean over samples of the mean of R, G and B of `seen`, times this
+            mean of all groups; they add up to `Highlights.square`.
         albedo: [H, W, 3], diffuse reflectance of the first surface that is not specular, times the
             throughput up to it.
         normal: [H, W, 3], its shading normal in the frame of the scene.
@@ -56,6 +58,7 @@ class Recorded:
     seen: NDArray[np.float32]
     self_emission: NDArray[np.float32]
     lit: NDArray[np.float32]
+    squares: NDArray[np.float32]
     albedo: NDArray[np.float32]
     normal: NDArray[np.float32]
 
@@ -63,6 +66,11 @@ class Recorded:
     def radiance(self) -> NDArray[np.float32]:
         """All light of the groups, [groups, H, W, 3]."""
         return self.seen + self.self_emission + self.lit
+
+    @property
+    def highlights(self) -> list[Highlights]:
+        """Light of emitters that are seen, of each group."""
+        return [Highlights(*each) for each in zip(self.seen, self.squares, strict=True)]
 
 
 class Unrecorded:
@@ -115,17 +123,18 @@ class Seen(Unrecorded):
         record["seen"][0] += radiance & (active & seen)
 
     def channels(self, record: dict[str, Any]) -> list[mi.Float]:
-        return [*record["seen"][0], _square(record)]
+        return [*record["seen"][0], *_squares(record)]
 
     def highlights(self, channels: NDArray[np.float32]) -> Highlights:
         """The light of emitters that are seen, in the film's further channels [H, W, C]."""
         return Highlights(channels[..., :3], channels[..., 3])
 
 
-def _square(record: dict[str, Any]) -> mi.Float:
-    """Square of the mean of R, G and B of all light that is seen."""
-    grey = sum((dr.mean(colour) for colour in record["seen"]), mi.Float(0))
-    return dr.square(dr.minimum(grey, _MAX_RADIANCE))
+def _squares(record: dict[str, Any]) -> list[mi.Float]:
+    """As `Recorded.squares`, of paths."""
+    greys = [dr.minimum(dr.mean(colour), _MAX_RADIANCE) for colour in record["seen"]]
+    whole = dr.minimum(sum(greys, mi.Float(0)), _MAX_RADIANCE)
+    return [grey * whole for grey in greys]
 
 
 class Layers(Seen):
@@ -153,7 +162,7 @@ class Layers(Seen):
         """Names of the film's further channels, in the order of `channels`."""
         light = [f"{kind}{g}.{c}" for kind in KINDS for g in range(self.groups) for c in "RGB"]
         buffers = [f"{buffer}.{c}" for buffer in BUFFERS for c in _CHANNELS[buffer]]
-        return [*light, *buffers, _SEEN[-1]]
+        return [*light, *buffers, *(f"seen{g}.square" for g in range(self.groups))]
 
     def start(self) -> dict[str, Any]:
         """Buffers of paths at their start."""
@@ -202,18 +211,21 @@ class Layers(Seen):
         """Values of the film's further channels."""
         colours = [each for kind in KINDS for each in record[kind]]
         colours += [record[buffer] for buffer in BUFFERS]
-        return [*(colour[i] for colour in colours for i in range(3)), _square(record)]
+        return [*(colour[i] for colour in colours for i in range(3)), *_squares(record)]
 
     def highlights(self, channels: NDArray[np.float32]) -> Highlights:
-        return Highlights(self.divide(channels).seen.sum(axis=0), channels[..., -1])
+        recorded = self.divide(channels)
+        return Highlights(recorded.seen.sum(axis=0), recorded.squares.sum(axis=0))
 
     def divide(self, channels: NDArray[np.float32]) -> Recorded:
         """Buffers in the film's further channels [H, W, C]."""
         height, width = channels.shape[:2]
-        images = channels[..., :-1].reshape(height, width, -1, 3)
+        images = channels[..., : -self.groups].reshape(height, width, -1, 3)
+        squares = np.moveaxis(channels[..., -self.groups :], -1, 0)
         light = images[:, :, : -len(BUFFERS)].transpose(2, 0, 1, 3)
         kinds = dict(zip(KINDS, np.split(light, len(KINDS)), strict=True))
-        return Recorded(**kinds, albedo=images[:, :, -2], normal=images[:, :, -1])
+        albedo, normal = images[:, :, -2], images[:, :, -1]
+        return Recorded(**kinds, squares=squares, albedo=albedo, normal=normal)
 
 
 def records_layers(integrator: mi.Integrator) -> bool:

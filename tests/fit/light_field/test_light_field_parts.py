@@ -235,6 +235,7 @@ def test_a_command_bakes_one_part(capsys):
         assert f'"light_field_cells": {asset.info.light_field_cells}' in file.read()
 
 
+@pytest.mark.slow
 def test_datasets_have_a_field_only(untraced, capsys):
     lumitree.capture("lamp.xml", "views", views=6, resolution=24, spp=4)
     baked = lumitree.bake("views", "lamp.lumitree", parts=["field"])
