@@ -483,8 +483,10 @@ def _design(given: Given) -> Any:
     given["placements"] = _places(given)
     given["planes"] = _grouped("design", "plane", given)
     if "watts" in given:
-        named = (_named("watts", text, vector(1)) for text in given["watts"])
-        given["watts"] = dict(named)
+        given["watts"] = dict(_named("watts", text, vector(1)) for text in given["watts"])
+    if "move" in given:
+        axes = (_named("move", text, TEXT) for text in given["move"])
+        given["move"] = {name: text.replace(",", "") for name, text in axes}
     result = call("design", given)
     for path in outputs:
         result.save(path)
@@ -681,6 +683,13 @@ COMMANDS: dict[str, Command] = {
                 "Lamps whose names match the pattern, with * and ?, have one level; may be "
                 "repeated.",
             ),
+            "move": Option(
+                TEXTS,
+                "LAMP=AXES: lamps that match may move along these axes of the scene, such as x,z; "
+                "may be repeated.",
+            ),
+            "turn": Option(TEXTS, "Lamps that match may turn; may be repeated."),
+            "free": Option(TEXTS, "Lamps that match may move and turn; may be repeated."),
             "watts": Option(
                 TEXTS,
                 "LAMP=WATTS: electric power at level 1 of the lamps that match; may be repeated. "

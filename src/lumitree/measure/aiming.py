@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from lumitree.core.frames import rotation
 from lumitree.core.seeds import Purpose, SeedStream
-from lumitree.measure.dimming import Dimmers, Task, TaskPlane, best_step, tasks_of
+from lumitree.measure.dimming import Dimmers, Task, best_step
 from lumitree.measure.direct_light import direct_lux, moved, slope
 from lumitree.measure.illuminance import IlluminanceResult
 from lumitree.rendering.emitter import PlacedLamp
@@ -31,8 +31,8 @@ from lumitree.rendering.scene import PlacedLuminaire
 _ROUNDS, _STEPS = 6, 3
 # Largest step at first: part of the region's diagonal, and angle.
 _MOVE, _TURN = 0.06, 0.3
-# Factors on it after a step to the better and to the worse; at the least one the search ends.
-_GROW, _SHRINK, _LEAST = 1.5, 0.4, 0.02
+# Factors on it after a better and after a worse round or step; at the least one the search ends.
+_GROW, _SHRINK, _LEAST = 1.5, 0.4, 0.05
 # A round of less gain ends the search.
 _GAIN = 2e-3
 # Random points of a cell, for the light of lamps and for its derivatives.
@@ -128,9 +128,8 @@ def aim(
     lamps: Sequence[Placement],
     placed: Sequence[PlacedLuminaire],
     freedom: Freedom,
-    planes: Sequence[TaskPlane],
     dimmers: Dimmers,
-    simulate: Callable[[Sequence[Placement], int], tuple[IlluminanceResult, NDArray[np.bool_]]],
+    simulate: Callable[[Sequence[Placement], int], tuple[IlluminanceResult, list[Task], _Array]],
     seed: int,
 ) -> list[Placement]:
     """The lamps where they are best.
@@ -138,12 +137,12 @@ def aim(
     Args:
         lamps, placed: the lamps that are dimmed.
         freedom: how they may move.
-        simulate: called with lamps and the number of a round; returns the illuminance by lamp, and
-            which lamps are dimmed.
+        simulate: called with lamps and the number of a round; returns the illuminance, the planes
+            with the light of each lamp, and its direct light [N, L] at all points.
         seed: root seed.
     """
     free = freedom.axes
-    emitters = [_lamp(each) for each in placed]
+    emitters = [lamp_alone(each) for each in placed]
     reach = np.array([np.abs(each.scene_from_box[:3, :3]).sum(axis=1) for each in placed])
     poses = _Poses(
         np.array([each.scene_from_box[:3, 3] for each in placed]),
@@ -153,22 +152,19 @@ def aim(
     size = np.tile([_MOVE * diagonal] * 3 + [_TURN] * 3, (len(lamps), 1))[free]
     trust, best, best_poses, model = 1.0, np.inf, poses, None
     for number in range(_ROUNDS):
-        result, dimmed = simulate(_at(lamps, poses), number)
-        tasks = tasks_of(planes, result, dimmed)
+        result, tasks, direct = simulate(_at(lamps, poses), number)
         value, *_ = best_step(tasks, dimmers, np.zeros(0), np.zeros(0))
-        gained, trust = best - value, trust if value < best else _SHRINK * trust
-        if value < best:
-            assert result.by_lamp is not None
-            direct = result.by_lamp.direct[np.append(False, dimmed)].T
-            part = SeedStream(Purpose.DESIGN, number, draw=2).seed(seed)
+        gained, worse = best - value, value >= best
+        trust *= _SHRINK if worse else _GROW if number > 0 else 1
+        if not worse:
+            part = SeedStream(Purpose.DESIGN, number, draw=3).seed(seed)
             model = _Model(emitters, free, poses, result, tasks, direct, part)
             best, best_poses, best_tasks = value, poses, tasks
         if trust < _LEAST or 0 < gained < _GAIN * best or number == _ROUNDS - 1:
             break
         assert model is not None
-        poses, trust = _improved(
-            model, best_tasks, best_poses, freedom, reach, dimmers, size, trust
-        )
+        where = freedom, reach, size, trust
+        poses = _improved(model, best_tasks, best_poses, dimmers, *where)
         if poses is best_poses:
             break
     return _at(lamps, best_poses)
@@ -178,19 +174,18 @@ def _improved(
     model: _Model,
     tasks: Sequence[Task],
     poses: _Poses,
+    dimmers: Dimmers,
     freedom: Freedom,
     reach: _Array,
-    dimmers: Dimmers,
     size: _Array,
     trust: float,
-) -> tuple[_Poses, float]:
-    """Better poses by the model, and the next part of the largest step."""
+) -> _Poses:
+    """Better poses by the model."""
     nowhere, free = np.zeros(0), freedom.axes
     value, levels, _ = best_step(tasks, dimmers, nowhere, nowhere)
     for _ in range(_STEPS):
         sloped = model.with_slopes(tasks, poses, levels)
         while trust >= _LEAST:
-            low, high = np.full((2, *free.shape), -np.inf), np.inf
             limits = np.stack([freedom.low + reach, freedom.high - reach]) - poses.centre
             low, high = np.full(free.shape, -np.inf), np.full(free.shape, np.inf)
             low[:, :3], high[:, :3] = np.minimum(limits[0], 0), np.maximum(limits[1], 0)
@@ -203,15 +198,14 @@ def _improved(
             found, tried_levels, _ = best_step(tried, dimmers, nowhere, nowhere)
             if found < value - 1e-6:
                 poses, tasks, value, levels = there, tried, found, tried_levels
-                trust = min(_GROW * trust, 1.0)
                 break
             trust *= _SHRINK
-    return poses, trust
+    return poses
 
 
-def _lamp(placed: PlacedLuminaire) -> PlacedLamp:
+def lamp_alone(placed: PlacedLuminaire) -> PlacedLamp:
     """The light of a lamp alone."""
-    proxy = mi.load_dict(placed.shapes("emission", "geometry")["proxy"])
+    proxy = mi.load_dict(placed.shapes("emission", "field")["proxy"])
     return proxy.emitter().lamp
 
 

@@ -1,6 +1,7 @@
 """From lux to lamps: dim levels and places of lamps for the illuminance that planes need."""
 
 import dataclasses
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,9 +16,9 @@ from lumitree.core.photometry import luminance
 from lumitree.core.progress import ProgressCallback, show_progress
 from lumitree.core.results import Result, Stopwatch
 from lumitree.core.seeds import MAX_SEED, Purpose, SeedStream, check_seed
-from lumitree.errors import LumitreeError, explained, shown, shown_names
+from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown, shown_names
 from lumitree.lamp.parts import matching
-from lumitree.measure.dimming import Dimmers, TaskPlane, dim_levels, equal_level, tasks_of
+from lumitree.measure.dimming import Dimmers, Task, TaskPlane, dim_levels, equal_level, tasks_of
 from lumitree.measure.illuminance import IlluminanceResult, illuminance
 from lumitree.measure.receivers import AreaFigures
 from lumitree.rendering.placement import Placement, write_placements
@@ -141,6 +142,10 @@ def design(
     *,
     planes: Sequence[TaskPlane],
     group: Sequence[str] = (),
+    move: Mapping[str, str] | None = None,
+    turn: Sequence[str] = (),
+    free: Sequence[str] = (),
+    region: tuple[float, float, float, float, float, float] | None = None,
     watts: Mapping[str, float] | None = None,
     brightest: float = 1.0,
     steps: int | None = None,
@@ -152,11 +157,13 @@ def design(
     variant: str | None = None,
     progress: ProgressCallback | None = show_progress,
 ) -> DesignResult:
-    """Dim lamps so that planes have the illuminance that they need, at the least flux.
+    """Dim, move and turn lamps so that planes have the illuminance they need, at the least flux.
 
     The illuminance of each point is the sum over all lamps of dim level times illuminance at full
-    light, with all reflections, so the best levels are a linear program. The result is simulated
-    again in full. Lights of the scene and explicit lamps are not dimmed, and count.
+    light, with all reflections, so the best levels are a linear program. Lamps that may move follow
+    the derivatives of their direct light, to a local optimum; shadows and reflections are estimated
+    again after some steps. The result is simulated again in full. Lights of the scene and explicit
+    lamps are not changed, and count.
 
     Args:
         scene: as for `illuminance`.
@@ -164,6 +171,11 @@ def design(
             Each lamp of an array is dimmed by itself.
         planes: the planes, and what each of them needs.
         group: patterns of labels, with * and ?; all lamps that a pattern matches have one level.
+        move: axes of the scene that lamps may move along, such as "xz", by patterns of labels.
+        turn: patterns of labels of lamps that may turn about their centres.
+        free: patterns of labels of lamps that may move along all axes, and turn.
+        region: smallest x, y, z and largest x, y, z of the boxes of lamps that move, scene units;
+            default: the bounding box of the scene. Furniture in it is not avoided.
         watts: electric power at dim level 1, W, by patterns of labels. The power is then minimised,
             and not the luminous flux; it is proportional to the level.
         brightest: largest dim level, 0.001 to 1,000.
@@ -205,31 +217,64 @@ def design(
     if not any(plane.target or plane.minimum for plane in planes):
         raise LumitreeError("no plane has a target; give one its target or its minimum, in lux")
     lamps = labelled(placements)
+    labels = [str(lamp.label) for lamp in lamps]
     dimmed = np.array([lamp.is_baked for lamp in lamps])
     if not dimmed.any():
         raise LumitreeError("no lamp can be dimmed; place a baked lamp or a photometric file")
-    labels = [str(lamp.label) for lamp in lamps]
     groups = _groups(labels, group)[dimmed]
+    axes = _axes(labels, move or {}, turn, free)[dimmed]
     load_rgb(variant)
+    import mitsuba as mi
+
+    from lumitree.measure.aiming import Freedom, aim
+    from lumitree.rendering.scene import load_without_camera, open_placements
+
+    metres = metres_of(unit)
     options: dict[str, Any] = {"planes": planes, "error": error, "time": time, "unit": unit}
     options |= {"variant": variant, "progress": progress}
     watch = Stopwatch()
     with watch.stage("lamps"):
-        lumens = _lumens([lamp for lamp in lamps if lamp.is_baked], metres_of(unit))
+        room, _ = load_without_camera(scene)
+        opened = open_placements([lamp for lamp in lamps if lamp.is_baked], metres)
+        lumens = np.array([float(luminance(each.watts)) for each in opened])
         cost = lumens if watts is None else _powers(watts, labels)[dimmed]
-        before = illuminance(scene, lamps, **options, by_lamp=True, seed=seed)
-        tasks = tasks_of(planes, before, dimmed)
-    with watch.stage("levels"):
         dimmers = Dimmers(np.unique(groups, return_inverse=True)[1], cost, brightest, steps)
+        before = illuminance(room, lamps, **options, by_lamp=True, seed=seed)
+        tasks = tasks_of(planes, before, dimmed)
+    if axes.any():
+        with watch.stage("places"):
+
+            def simulate(
+                moved: Sequence[Placement], number: int
+            ) -> tuple[IlluminanceResult, list[Task], NDArray[np.float64]]:
+                if number == 0:
+                    return before, tasks, _direct(before, dimmed)
+                root = SeedStream(Purpose.DESIGN, number).seed(seed) & MAX_SEED
+                with warnings.catch_warnings():
+                    # The last simulation warns of what is left.
+                    warnings.simplefilter("ignore", LumitreeWarning)
+                    found = illuminance(
+                        room, _replaced(lamps, dimmed, moved), **options, by_lamp=True, seed=root
+                    )
+                return found, tasks_of(planes, found, dimmed), _direct(found, dimmed)
+
+            box = room.bbox() if region is None else mi.BoundingBox3f(region[:3], region[3:])
+            freedom = Freedom(axes, *(np.array(each, np.float64) for each in (box.min, box.max)))
+            baked = [lamp for lamp in lamps if lamp.is_baked]
+            lamps = _replaced(lamps, dimmed, aim(baked, opened, freedom, dimmers, simulate, seed))
+            root = SeedStream(Purpose.DESIGN, draw=2).seed(seed) & MAX_SEED
+            found = illuminance(room, lamps, **options, by_lamp=True, seed=root)
+            tasks = tasks_of(planes, found, dimmed)
+    with watch.stage("levels"):
         levels = np.ones(len(lamps))
-        levels[dimmed] = dim_levels(tasks, dimmers, margin)
+        levels[dimmed] = np.round(dim_levels(tasks, dimmers, margin), 4)
     with watch.stage("simulation"):
         placed = [
             lamp.dimmed(level) if level != 1 else lamp
             for lamp, level in zip(lamps, levels.tolist(), strict=True)
         ]
         again = SeedStream(Purpose.DESIGN, draw=1).seed(seed) & MAX_SEED
-        after = illuminance(scene, placed, **options, seed=again)
+        after = illuminance(room, placed, **options, seed=again)
     areas = [
         DesignedArea(task.plane, old, task.figures(old, levels[dimmed]), new)
         for task, old, new in zip(tasks, before.areas, after.areas, strict=True)
@@ -301,8 +346,34 @@ def _powers(watts: Mapping[str, float], labels: Sequence[str]) -> NDArray[np.flo
     return found
 
 
-def _lumens(lamps: Sequence[Placement], metres: float) -> NDArray[np.float64]:
-    """[L] luminous flux of baked lamps, lm."""
-    from lumitree.rendering.scene import open_placements
+def _axes(
+    labels: Sequence[str], move: Mapping[str, str], turn: Sequence[str], free: Sequence[str]
+) -> NDArray[np.bool_]:
+    """[L, 6] whether each lamp may move along, and turn about, x, y and z of the scene."""
+    found = np.zeros((len(labels), 6), bool)
+    for pattern, names in move.items():
+        axes = ["xyz".find(each) for each in names]
+        if not axes or min(axes) < 0:
+            raise LumitreeError(f"move has {shown(repr(names), 40)}; expected axes such as 'xz'")
+        found[np.ix_(_matches("move", pattern, labels), axes)] = True
+    for pattern in turn:
+        found[_matches("turn", pattern, labels), 3:] = True
+    for pattern in free:
+        found[_matches("free", pattern, labels)] = True
+    return found
 
-    return np.array([float(luminance(each.watts)) for each in open_placements(lamps, metres)])
+
+def _direct(result: IlluminanceResult, dimmed: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """[N, L] direct illuminance by the lamps that are dimmed, lx."""
+    assert result.by_lamp is not None
+    return result.by_lamp.direct[np.append(False, dimmed)].T
+
+
+def _replaced(
+    lamps: Sequence[Placement], dimmed: NDArray[np.bool_], moved: Sequence[Placement]
+) -> list[Placement]:
+    """All lamps, of which the ones that are dimmed are at other places."""
+    found = list(lamps)
+    for index, lamp in zip(np.flatnonzero(dimmed), moved, strict=True):
+        found[index] = lamp
+    return found

@@ -107,26 +107,27 @@ class Task:
         error[self.points - area.first] = self.error(levels)
         return AreaFigures.of(area.name, area.first, lux, error)
 
-    def limits(
-        self, target: float, margin: _Array | float = 0.0
-    ) -> Iterator[tuple[_Array, _Array, float]]:
-        """Rows [M, L] and limits [M] that they may not exceed, and a size of both, lx.
+    def limits(self, margin: _Array | float = 0.0) -> Iterator[tuple[_Array, _Array, float, float]]:
+        """Constraints of dim levels x: rows [M, L], limits [M], and two numbers a and b, lx.
+
+        rows x + a may not exceed the limits. a is the part of them that the plane needs, and b is
+        the size of the constraint.
 
         Args:
-            target: least mean illuminance, lx.
             margin: [N] distance of points from their limits, lx.
         """
         plane = self.plane
+        least = max(plane.target, plane.minimum)
         mean, fixed = self.lamps.mean(axis=0), self.fixed.mean()
-        yield -mean[None], np.array([fixed - target]), target
+        yield -mean[None], np.array([fixed]), plane.target, plane.target
         if plane.uniformity > 0:
             rows = plane.uniformity * mean - self.lamps
             limit = self.fixed - plane.uniformity * fixed - margin
-            yield rows, limit, plane.uniformity * max(target, plane.minimum)
+            yield rows, limit, 0.0, plane.uniformity * least
         if plane.minimum > 0:
-            yield -self.lamps, self.fixed - plane.minimum - margin, plane.minimum
+            yield -self.lamps, self.fixed - margin, plane.minimum, plane.minimum
         if plane.maximum is not None:
-            yield self.lamps, plane.maximum - self.fixed - margin, plane.maximum
+            yield self.lamps, plane.maximum - self.fixed - margin, 0.0, plane.maximum
 
 
 def tasks_of(planes: Sequence[TaskPlane], result: IlluminanceResult, lamps: _Array) -> list[Task]:
@@ -232,13 +233,11 @@ def _cheapest(
     """Dim levels [L] of least cost; None if there are none."""
     lamps = dimmers.lamps
     parts = [
-        part
-        for task, margin in zip(tasks, margins, strict=True)
-        for part in task.limits(task.plane.target, margin)
+        part for task, margin in zip(tasks, margins, strict=True) for part in task.limits(margin)
     ]
     found = _solve(
         dimmers.cost @ lamps,
-        [(rows @ lamps, limit) for rows, limit, _ in parts],
+        [(rows @ lamps, limit - needed) for rows, limit, needed, _ in parts],
         Bounds(0, dimmers.top),
         np.full(lamps.shape[1], int(dimmers.steps is not None)),
     )
@@ -265,10 +264,11 @@ def best_step(
     columns[:count, :settings], columns[count:, settings:] = lamps, np.eye(steps)
     rows = []
     for task in tasks:
-        for row, limit, size in task.limits(task.plane.target):
+        for row, limit, needed, size in task.limits():
             if size > 0:
                 # The last variable is the part that lacks.
-                rows.append((np.pad(row @ columns, ((0, 0), (0, 1)), constant_values=-size), limit))
+                lacking = np.full((len(row), 1), -size)
+                rows.append((np.hstack([row @ columns, lacking]), limit - needed))
     cost = np.concatenate([dimmers.cost @ lamps / dimmers.cost.sum(), np.zeros(steps), [_LACK]])
     lower = np.concatenate([np.zeros(settings), low, [0]])
     upper = np.concatenate([np.full(settings, smooth.top), high, [np.inf]])
@@ -303,9 +303,8 @@ def _fraction(tasks: Sequence[Task], dimmers: Dimmers) -> float:
     smooth = dataclasses.replace(dimmers, steps=None)
     lamps, rows = smooth.lamps, []
     for task in tasks:
-        mean, *others = task.limits(0.0)
-        rows.append((np.append(mean[0] @ lamps, task.plane.target)[None], mean[1]))
-        rows += [(np.pad(row @ lamps, ((0, 0), (0, 1))), limit) for row, limit, _ in others]
+        for row, limit, needed, _ in task.limits():
+            rows.append((np.hstack([row @ lamps, np.full((len(row), 1), needed)]), limit))
     cost = np.append(np.zeros(lamps.shape[1]), -1.0)
     upper = np.append(np.full(lamps.shape[1], smooth.top), 1.0)
     found = _solve(cost, rows, Bounds(0, upper))
@@ -321,27 +320,33 @@ def _shortage(tasks: Sequence[Task], dimmers: Dimmers) -> str:
             continue
         name, plane = shown(task.name, 100), task.plane
         even = dataclasses.replace(plane, uniformity=0.0)
-        most = _fraction([dataclasses.replace(task, plane=even)], dimmers) * plane.target
-        if most < plane.target * (1 - 1e-6):
-            parts.append(f"{name} gets at most {most:.4g} lx of {plane.target:g} lx")
+        most = _fraction([dataclasses.replace(task, plane=even)], dimmers)
+        if most < 1 - 1e-6:
+            parts.append(f"{name} gets at most {_amounts(plane, most)}")
         else:
             ratio = _largest_uniformity(task, dimmers)
             parts.append(
-                f"{name} gets at most {part * plane.target:.4g} lx with the uniformity "
-                f"{plane.uniformity:g}, or at most the uniformity {ratio:.2g} with "
-                f"{plane.target:g} lx"
+                f"{name} gets at most {_amounts(plane, part)} with the uniformity "
+                f"{plane.uniformity:g}, or all of it with the uniformity {ratio:.2g}"
             )
     if parts:
         return f"the targets cannot be reached: {'; '.join(parts)}"
     part = _fraction(tasks, dimmers)
     if part >= 1 - 1e-6:
         return f"{dimmers.steps} dimming steps are too coarse for the targets; give more"
-    each = ", ".join(
-        f"{part * task.plane.target:.4g} of {task.plane.target:g} lx for {shown(task.name, 100)}"
+    each = "; ".join(
+        f"{_amounts(task.plane, part)} for {shown(task.name, 100)}"
         for task in tasks
-        if task.plane.target
+        if task.plane.target or task.plane.minimum
     )
     return f"the targets cannot be reached together, only {part:.0%} of them: {each}"
+
+
+def _amounts(plane: TaskPlane, part: float) -> str:
+    """The part of the illuminance that a plane needs, and all of it."""
+    needed = ((plane.target, ""), (plane.minimum, " at each point"))
+    texts = [f"{part * lux:.4g} of {lux:g} lx{where}" for lux, where in needed if lux]
+    return " and ".join(texts) or "none"
 
 
 def _largest_uniformity(task: Task, dimmers: Dimmers) -> float:
