@@ -24,15 +24,15 @@ LINES = {
     "formats": 4_100,
     "lamp": 10_450,
     "many": 620,
-    "measure": 5_170,
+    "measure": 5_420,
     "octree": 1_050,
-    "rendering": 9_410,
+    "rendering": 9_470,
     "trace": 1_900,
     "viewer": 1_470,
 }
 FILES = 216
 OTHERS = {
-    "lines of tests": 41_900,
+    "lines of tests": 42_200,
     "lines of benchmarks": 9_850,
     "words of docs by hand": 45_000,
     "lines of README.md": 90,

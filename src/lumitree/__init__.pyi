@@ -90,6 +90,7 @@ from .measure.preview import (
     preview as preview,
 )
 from .measure.receivers import AreaFigures as AreaFigures
+from .measure.receivers import LampIlluminance as LampIlluminance
 from .measure.receivers import Plane as Plane
 from .measure.receivers import Surface as Surface
 from .rendering.asset_cache import load as load

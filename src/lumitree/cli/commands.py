@@ -577,7 +577,9 @@ def _placements() -> Option:
 
 def _needed(function: str, name: str = "output") -> dict[str, Option]:
     """An option that only Python has a default for: there the result is not lost without it."""
-    return {name: dataclasses.replace(options_of(function)[name], default=NEEDED)}
+    option = options_of(function)[name]
+    described = option.help.removesuffix(" Default: no file is written.")
+    return {name: dataclasses.replace(option, help=described, default=NEEDED)}
 
 
 COMMANDS: dict[str, Command] = {

@@ -259,7 +259,9 @@ def design(
                 return found, tasks_of(planes, found, dimmed), _direct(found, dimmed)
 
             box = room.bbox() if region is None else mi.BoundingBox3f(region[:3], region[3:])
-            freedom = Freedom(axes, *(np.array(each, np.float64) for each in (box.min, box.max)))
+            freedom = Freedom(
+                axes, *(np.array(each, np.float64).ravel() for each in (box.min, box.max))
+            )
             baked = [lamp for lamp in lamps if lamp.is_baked]
             lamps = _replaced(lamps, dimmed, aim(baked, opened, freedom, dimmers, simulate, seed))
             root = SeedStream(Purpose.DESIGN, draw=2).seed(seed) & MAX_SEED

@@ -1,6 +1,7 @@
 """Receivers of illuminance: points with normals on planes and surfaces of a scene, or given.
 
-`AreaFigures` are the figures of the illuminance of an area of receivers.
+`AreaFigures` are the figures of the illuminance of an area of receivers, and `LampIlluminance` is
+the part of each lamp.
 """
 
 from __future__ import annotations
@@ -238,6 +239,43 @@ class AreaFigures:
     def part(self) -> slice:
         """Which of the receivers are on the area."""
         return slice(self.first, self.first + self.count)
+
+
+@dataclasses.dataclass(frozen=True)
+class LampIlluminance:
+    """Illuminance of N receivers by each of L lamps, lx; NaN inside solids.
+
+    All parts come from one set of samples, and the paths carry the lamp that gave the light. A
+    sample of direct light is of one lamp, which is chosen by its light, and a path of reflected
+    light may have light of each. The errors are the spread of the sums over each path: they are
+    correlated between lamps, so that the error of a sum over lamps is not their root sum of
+    squares.
+
+    Attributes:
+        names: as the layers of `render` have them; first "room", which is all light of no placed
+            lamp, and then each lamp, of arrays too.
+        direct, reflected: [L, N].
+        direct_error, reflected_error: [L, N] their standard errors.
+    """
+
+    names: list[str]
+    direct: NDArray[np.float64]
+    direct_error: NDArray[np.float64]
+    reflected: NDArray[np.float64]
+    reflected_error: NDArray[np.float64]
+
+    def means(self, area: AreaFigures) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Mean direct and reflected illuminance [L] of an area by each lamp, lx."""
+        direct, reflected = self.direct[:, area.part], self.reflected[:, area.part]
+        return np.nanmean(direct, axis=1), np.nanmean(reflected, axis=1)
+
+    def columns(self) -> dict[str, NDArray[np.float64]]:
+        """Columns [N] of a table of receivers."""
+        return {
+            f"{name}_{part}_lx": getattr(self, part)[index]
+            for index, name in enumerate(self.names)
+            for part in ("direct", "direct_error", "reflected", "reflected_error")
+        }
 
 
 def collect(
