@@ -139,7 +139,7 @@ def test_slopes_are_central_differences(mi, axis):
         ({"group": ["desk*"]}, "group 'desk.' matches no lamp"),
         ({"move": {"even": "up"}}, "move has 'up'"),
         ({"watts": {"other": 3}}, "watts 'other' matches no lamp"),
-        ({"placements": []}, "no lamp can be dimmed"),
+        ({"placements": []}, "there are no lamps"),
     ],
 )
 def test_wrong_arguments_are_refused(mi, even, options, message):

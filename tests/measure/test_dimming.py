@@ -22,7 +22,7 @@ def task(seed=0, lamps=3, points=30, fixed=20.0, error=0.0, **needed):
     random = np.random.default_rng(seed)
     light = 300 * random.random((points, lamps)) ** 3 + 5
     plane = TaskPlane((0, 0, 0), **needed)
-    every = np.arange(points), light, np.full(points, fixed), (error * light) ** 2
+    every = np.arange(points), np.full(points, fixed), light, (error * light) ** 2
     return Task("desk", plane, *every)
 
 

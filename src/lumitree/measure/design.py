@@ -18,7 +18,7 @@ from lumitree.core.results import Result, Stopwatch
 from lumitree.core.seeds import MAX_SEED, Purpose, SeedStream, check_seed
 from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown, shown_names
 from lumitree.lamp.parts import matching
-from lumitree.measure.dimming import Dimmers, Task, TaskPlane, dim_levels, equal_level, tasks_of
+from lumitree.measure.dimming import Dimmers, TaskPlane, dim_levels, equal_level, tasks_of
 from lumitree.measure.illuminance import IlluminanceResult, illuminance
 from lumitree.measure.receivers import AreaFigures
 from lumitree.rendering.placement import Placement, write_placements
@@ -40,7 +40,7 @@ class DesignedLamp:
         label: its name.
         level: dim level; 1 is its light as it was placed.
         lumens: luminous flux at this level, lm.
-        placement: where it is, with the `gain` of this level.
+        placement: where it is, with its light at this level.
     """
 
     label: str
@@ -162,8 +162,8 @@ def design(
     The illuminance of each point is the sum over all lamps of dim level times illuminance at full
     light, with all reflections, so the best levels are a linear program. Lamps that may move follow
     the derivatives of their direct light, to a local optimum; shadows and reflections are estimated
-    again after some steps. The result is simulated again in full. Lights of the scene and explicit
-    lamps are not changed, and count.
+    again after some steps. The result is simulated again in full. Lights of the scene count
+    as they are.
 
     Args:
         scene: as for `illuminance`.
@@ -194,8 +194,8 @@ def design(
         Dim levels, and the illuminance before, predicted, and simulated.
 
     Raises:
-        LumitreeError: an argument is out of range; a scene or lamp cannot be read; no lamp can be
-            dimmed; or the lamps cannot give what the planes need. Then the message states which
+        LumitreeError: an argument is out of range; a scene or lamp cannot be read; a lamp is
+            explicit; or the lamps cannot give what the planes need. Then the message states which
             plane gets how much.
 
     Example:
@@ -218,15 +218,15 @@ def design(
         raise LumitreeError("no plane has a target; give one its target or its minimum, in lux")
     lamps = labelled(placements)
     labels = [str(lamp.label) for lamp in lamps]
-    dimmed = np.array([lamp.is_baked for lamp in lamps])
-    if not dimmed.any():
-        raise LumitreeError("no lamp can be dimmed; place a baked lamp or a photometric file")
-    groups = _groups(labels, group)[dimmed]
-    axes = _axes(labels, move or {}, turn, free)[dimmed]
+    if not lamps or not all(lamp.is_baked for lamp in lamps):
+        raise LumitreeError(
+            "there are no lamps, or explicit ones, which cannot be dimmed; place baked lamps or "
+            "photometric files"
+        )
+    groups = np.unique(_groups(labels, group), return_inverse=True)[1]
+    axes = _axes(labels, move or {}, turn, free)
     load_rgb(variant)
-    import mitsuba as mi
-
-    from lumitree.measure.aiming import Freedom, aim
+    from lumitree.measure.aiming import Aim
     from lumitree.rendering.scene import load_without_camera, open_placements
 
     metres = metres_of(unit)
@@ -235,64 +235,47 @@ def design(
     watch = Stopwatch()
     with watch.stage("lamps"):
         room, _ = load_without_camera(scene)
-        opened = open_placements([lamp for lamp in lamps if lamp.is_baked], metres)
+        opened = open_placements(lamps, metres)
         lumens = np.array([float(luminance(each.watts)) for each in opened])
-        cost = lumens if watts is None else _powers(watts, labels)[dimmed]
-        dimmers = Dimmers(np.unique(groups, return_inverse=True)[1], cost, brightest, steps)
-        before = illuminance(room, lamps, **options, by_lamp=True, seed=seed)
-        tasks = tasks_of(planes, before, dimmed)
+        cost = lumens if watts is None else _powers(watts, labels)
+        dimmers = Dimmers(groups, cost, brightest, steps)
+        found = before = illuminance(room, lamps, **options, by_lamp=True, seed=seed)
     if axes.any():
+
+        def simulate(moved: Sequence[Placement], number: int) -> IlluminanceResult:
+            root = SeedStream(Purpose.DESIGN, number).seed(seed) & MAX_SEED
+            with warnings.catch_warnings():
+                # The last simulation warns of what is left.
+                warnings.simplefilter("ignore", LumitreeWarning)
+                return illuminance(room, moved, **options, by_lamp=True, seed=root)
+
         with watch.stage("places"):
-
-            def simulate(
-                moved: Sequence[Placement], number: int
-            ) -> tuple[IlluminanceResult, list[Task], NDArray[np.float64]]:
-                if number == 0:
-                    return before, tasks, _direct(before, dimmed)
-                root = SeedStream(Purpose.DESIGN, number).seed(seed) & MAX_SEED
-                with warnings.catch_warnings():
-                    # The last simulation warns of what is left.
-                    warnings.simplefilter("ignore", LumitreeWarning)
-                    found = illuminance(
-                        room, _replaced(lamps, dimmed, moved), **options, by_lamp=True, seed=root
-                    )
-                return found, tasks_of(planes, found, dimmed), _direct(found, dimmed)
-
-            box = room.bbox() if region is None else mi.BoundingBox3f(region[:3], region[3:])
-            freedom = Freedom(
-                axes, *(np.array(each, np.float64).ravel() for each in (box.min, box.max))
-            )
-            baked = [lamp for lamp in lamps if lamp.is_baked]
-            lamps = _replaced(lamps, dimmed, aim(baked, opened, freedom, dimmers, simulate, seed))
-            root = SeedStream(Purpose.DESIGN, draw=2).seed(seed) & MAX_SEED
-            found = illuminance(room, lamps, **options, by_lamp=True, seed=root)
-            tasks = tasks_of(planes, found, dimmed)
+            sides = (room.bbox().min, room.bbox().max) if region is None else region
+            box = np.array(sides, np.float64).reshape(2, 3)
+            lamps, found = Aim(planes, opened, axes, box, dimmers, simulate, seed).search(before)
     with watch.stage("levels"):
-        levels = np.ones(len(lamps))
-        levels[dimmed] = np.round(dim_levels(tasks, dimmers, margin), 4)
+        tasks = tasks_of(planes, found)
+        levels = np.round(dim_levels(tasks, dimmers, margin), 4)
     with watch.stage("simulation"):
-        placed = [
-            lamp.dimmed(level) if level != 1 else lamp
-            for lamp, level in zip(lamps, levels.tolist(), strict=True)
-        ]
+        placed = [lamp.dimmed(level) for lamp, level in zip(lamps, levels.tolist(), strict=True)]
         again = SeedStream(Purpose.DESIGN, draw=1).seed(seed) & MAX_SEED
         after = illuminance(room, placed, **options, seed=again)
     areas = [
-        DesignedArea(task.plane, old, task.figures(old, levels[dimmed]), new)
+        DesignedArea(task.plane, old, task.figures(old, levels), new)
         for task, old, new in zip(tasks, before.areas, after.areas, strict=True)
     ]
-    flux = np.zeros(len(lamps))
-    flux[dimmed] = lumens * levels[dimmed]
     return DesignResult(
         lamps=[
             DesignedLamp(*each)
-            for each in zip(labels, levels.tolist(), flux.tolist(), placed, strict=True)
+            for each in zip(
+                labels, levels.tolist(), (lumens * levels).tolist(), placed, strict=True
+            )
         ],
         areas=areas,
         unit="lm" if watts is None else "W",
-        cost=float(cost @ levels[dimmed]),
+        cost=float(cost @ levels),
         cost_before=float(cost.sum()),
-        cost_of_equal_levels=float(cost.sum()) * equal_level(tasks, levels[dimmed]),
+        cost_of_equal_levels=float(cost.sum()) * equal_level(tasks, levels),
         before=before,
         after=after,
         **watch.costs(),
@@ -354,28 +337,12 @@ def _axes(
     """[L, 6] whether each lamp may move along, and turn about, x, y and z of the scene."""
     found = np.zeros((len(labels), 6), bool)
     for pattern, names in move.items():
-        axes = ["xyz".find(each) for each in names]
-        if not axes or min(axes) < 0:
+        if not names or set(names) - set("xyz"):
             raise LumitreeError(f"move has {shown(repr(names), 40)}; expected axes such as 'xz'")
-        found[np.ix_(_matches("move", pattern, labels), axes)] = True
+        for axis in map("xyz".index, names):
+            found[_matches("move", pattern, labels), axis] = True
     for pattern in turn:
         found[_matches("turn", pattern, labels), 3:] = True
     for pattern in free:
         found[_matches("free", pattern, labels)] = True
-    return found
-
-
-def _direct(result: IlluminanceResult, dimmed: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """[N, L] direct illuminance by the lamps that are dimmed, lx."""
-    assert result.by_lamp is not None
-    return result.by_lamp.direct[np.append(False, dimmed)].T
-
-
-def _replaced(
-    lamps: Sequence[Placement], dimmed: NDArray[np.bool_], moved: Sequence[Placement]
-) -> list[Placement]:
-    """All lamps, of which the ones that are dimmed are at other places."""
-    found = list(lamps)
-    for index, lamp in zip(np.flatnonzero(dimmed), moved, strict=True):
-        found[index] = lamp
     return found

@@ -17,7 +17,7 @@ import dataclasses
 import math
 import warnings
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,17 +79,17 @@ class Task:
         name: of the plane, for messages.
         plane: what it has to have.
         points: [N] which of all points.
-        lamps: [N, L] illuminance of its points by each lamp at dim level 1, lx. In `best_step`
-            more columns are illuminance by steps of poses.
-        fixed: [N] illuminance by all other light, lx.
+        fixed: [N] illuminance by light of no lamp, lx.
+        lamps: [N, L] illuminance by each lamp at dim level 1, lx. In `best_step` more columns are
+            illuminance by steps of poses.
         variance: [N, L] squares of the standard errors of `lamps`.
     """
 
     name: str
     plane: TaskPlane
     points: NDArray[np.int64]
-    lamps: _Array
     fixed: _Array
+    lamps: _Array
     variance: _Array
 
     def lux(self, levels: _Array) -> _Array:
@@ -107,30 +107,21 @@ class Task:
         error[self.points - area.first] = self.error(levels)
         return AreaFigures.of(area.name, area.first, lux, error)
 
-    def limits(self, margin: _Array | float = 0.0) -> Iterator[tuple[_Array, _Array, float, float]]:
-        """Constraints of dim levels x: rows [M, L], limits [M], and two numbers a and b, lx.
-
-        rows x + a may not exceed the limits. a is the part of them that the plane needs, and b is
-        the size of the constraint.
-
-        Args:
-            margin: [N] distance of points from their limits, lx.
-        """
+    def limits(self, margin: _Array | float) -> Iterator[tuple[_Array, _Array, float, float]]:
+        """Constraints of dim levels x, as `_Constraints` has them."""
         plane = self.plane
-        least = max(plane.target, plane.minimum)
         mean, fixed = self.lamps.mean(axis=0), self.fixed.mean()
         yield -mean[None], np.array([fixed]), plane.target, plane.target
-        if plane.uniformity > 0:
-            rows = plane.uniformity * mean - self.lamps
-            limit = self.fixed - plane.uniformity * fixed - margin
-            yield rows, limit, 0.0, plane.uniformity * least
+        if (ratio := plane.uniformity) > 0:
+            size = ratio * max(plane.target, plane.minimum)
+            yield ratio * mean - self.lamps, self.fixed - ratio * fixed - margin, 0.0, size
         if plane.minimum > 0:
             yield -self.lamps, self.fixed - margin, plane.minimum, plane.minimum
         if plane.maximum is not None:
             yield self.lamps, plane.maximum - self.fixed - margin, 0.0, plane.maximum
 
 
-def tasks_of(planes: Sequence[TaskPlane], result: IlluminanceResult, lamps: _Array) -> list[Task]:
+def tasks_of(planes: Sequence[TaskPlane], result: IlluminanceResult) -> list[Task]:
     """The planes with the light that their points get; points inside solids are left out.
 
     The parts of lamps at a point are correlated. So their errors are scaled to the error of their
@@ -138,25 +129,21 @@ def tasks_of(planes: Sequence[TaskPlane], result: IlluminanceResult, lamps: _Arr
 
     Args:
         result: illuminance of the planes by lamp.
-        lamps: [L] whether each lamp is dimmed; the light of the others is fixed.
     """
     parts = result.by_lamp
     assert parts is not None
     # The first part is light of no lamp.
-    dimmed = np.append(False, lamps)
-    light = (parts.direct + parts.reflected)[dimmed].T
-    variance = (parts.direct_error**2 + parts.reflected_error**2)[dimmed].T
-    total = variance.sum(axis=1)
-    variance *= np.divide(result.total_error**2, total, out=np.ones_like(total), where=total > 0)[
-        :, None
-    ]
+    fixed, *light = parts.direct + parts.reflected
+    variance = (parts.direct_error**2 + parts.reflected_error**2)[1:]
+    total = variance.sum(axis=0)
+    variance *= np.divide(result.total_error**2, total, out=np.ones_like(total), where=total > 0)
     tasks = []
     for plane, area in zip(planes, result.areas, strict=True):
         known = area.first + np.flatnonzero(np.isfinite(result.total[area.part]))
         if not len(known):
             raise LumitreeError(f"all points of {shown(area.name, 200)} are inside solids; move it")
-        fixed = (parts.direct + parts.reflected)[~dimmed].sum(axis=0)
-        tasks.append(Task(area.name, plane, known, light[known], fixed[known], variance[known]))
+        of_lamps = (np.array(each)[:, known].T for each in (light, variance))
+        tasks.append(Task(area.name, plane, known, fixed[known], *of_lamps))
     return tasks
 
 
@@ -197,7 +184,7 @@ def dim_levels(tasks: Sequence[Task], dimmers: Dimmers, margin: float) -> _Array
     Raises:
         LumitreeError: the targets cannot be reached; the message has what can.
     """
-    found, errors = None, [np.zeros(len(task.fixed)) for task in tasks]
+    levels, found, errors = None, None, [np.zeros(len(task.fixed)) for task in tasks]
     for _ in range(_ROUNDS):
         levels = _cheapest(tasks, dimmers, [margin * error for error in errors])
         if levels is None:
@@ -227,21 +214,44 @@ def equal_level(tasks: Sequence[Task], levels: _Array) -> float:
     return max(ratios, default=math.nan)
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Constraints:
+    """Constraints of planes, rows x + needed <= limit, for columns x of lamps, and of steps.
+
+    Attributes:
+        rows: [M, L].
+        limit, needed, size: [M, 1], lx: `needed` is the part of the limit that the plane needs, and
+            `size` the illuminance that the constraint is about.
+    """
+
+    rows: _Array
+    limit: _Array
+    needed: _Array
+    size: _Array
+
+    @classmethod
+    def of(
+        cls, tasks: Sequence[Task], margins: Sequence[_Array | float] | None = None
+    ) -> _Constraints:
+        """All constraints; `margins` are distances of points from their limits, lx."""
+        found: list[tuple[_Array, ...]] = []
+        for task, margin in zip(tasks, margins or [0.0] * len(tasks), strict=True):
+            for rows, limit, *numbers in task.limits(margin):
+                columns = (np.full((len(rows), 1), number) for number in numbers)
+                found.append((rows, limit[:, None], *columns))
+        return cls(*map(np.concatenate, zip(*found, strict=True)))
+
+
 def _cheapest(
     tasks: Sequence[Task], dimmers: Dimmers, margins: Sequence[_Array | float]
 ) -> _Array | None:
     """Dim levels [L] of least cost; None if there are none."""
-    lamps = dimmers.lamps
-    parts = [
-        part for task, margin in zip(tasks, margins, strict=True) for part in task.limits(margin)
-    ]
-    found = _solve(
-        dimmers.cost @ lamps,
-        [(rows @ lamps, limit - needed) for rows, limit, needed, _ in parts],
-        Bounds(0, dimmers.top),
-        np.full(lamps.shape[1], int(dimmers.steps is not None)),
-    )
-    return None if found is None else lamps @ np.clip(found, 0, dimmers.top)
+    found, lamps = _Constraints.of(tasks, margins), dimmers.lamps
+    high = np.full(lamps.shape[1], dimmers.top)
+    rows, limit = found.rows @ lamps, found.limit - found.needed
+    whole = np.full(len(high), int(dimmers.steps is not None))
+    settings = _solve(dimmers.cost @ lamps, rows, limit, np.zeros(len(high)), high, whole)
+    return None if settings is None else lamps @ np.clip(settings, 0, high)
 
 
 def best_step(
@@ -257,58 +267,49 @@ def best_step(
         Part of the whole cost, and ten times the largest part that lacks of a target; levels [L];
         and steps [K].
     """
-    smooth = dataclasses.replace(dimmers, steps=None)
-    lamps, steps = smooth.lamps, len(low)
+    found, smooth = _Constraints.of(tasks), dataclasses.replace(dimmers, steps=None)
+    lamps, some = smooth.lamps, found.size[:, 0] > 0
     count, settings = lamps.shape
-    columns = np.zeros((count + steps, settings + steps))
-    columns[:count, :settings], columns[count:, settings:] = lamps, np.eye(steps)
-    rows = []
-    for task in tasks:
-        for row, limit, needed, size in task.limits():
-            if size > 0:
-                # The last variable is the part that lacks.
-                lacking = np.full((len(row), 1), -size)
-                rows.append((np.hstack([row @ columns, lacking]), limit - needed))
-    cost = np.concatenate([dimmers.cost @ lamps / dimmers.cost.sum(), np.zeros(steps), [_LACK]])
-    lower = np.concatenate([np.zeros(settings), low, [0]])
-    upper = np.concatenate([np.full(settings, smooth.top), high, [np.inf]])
-    found = _solve(cost, rows, Bounds(lower, upper))
-    assert found is not None
-    return float(cost @ found), lamps @ found[:settings], found[settings:-1]
-
-
-def _solve(
-    cost: _Array,
-    rows: Sequence[tuple[_Array, _Array]],
-    bounds: Bounds,
-    whole: NDArray[np.int64] | None = None,
-) -> _Array | None:
-    """The variables of least cost for which rows do not exceed their limits; None without any."""
-    matrix = np.concatenate([row for row, _ in rows])
-    limit = np.concatenate([each for _, each in rows])
-    # Rows of about 1: the solver's tolerances are absolute.
-    size = np.maximum(np.abs(matrix).max(axis=1), 1e-300)
-    found = milp(
-        cost,
-        constraints=LinearConstraint(matrix / size[:, None], ub=limit / size),
-        bounds=bounds,
-        integrality=whole,
-        options={"mip_rel_gap": _GAP, "node_limit": _NODES},
-    )
-    return found.x
+    # The last variable is the part that lacks.
+    rows = np.hstack([found.rows[:, :count] @ lamps, found.rows[:, count:], -found.size])[some]
+    cost = np.concatenate([dimmers.cost @ lamps / dimmers.cost.sum(), 0 * low, [_LACK]])
+    low = np.concatenate([np.zeros(settings), low, [0]])
+    high = np.concatenate([np.full(settings, smooth.top), high, [np.inf]])
+    best = _solve(cost, rows, (found.limit - found.needed)[some], low, high)
+    assert best is not None
+    return float(cost @ best), lamps @ best[:settings], best[settings:-1]
 
 
 def _fraction(tasks: Sequence[Task], dimmers: Dimmers) -> float:
     """The largest part of all targets that can be reached at once, at most 1."""
-    smooth = dataclasses.replace(dimmers, steps=None)
-    lamps, rows = smooth.lamps, []
-    for task in tasks:
-        for row, limit, needed, _ in task.limits():
-            rows.append((np.hstack([row @ lamps, np.full((len(row), 1), needed)]), limit))
-    cost = np.append(np.zeros(lamps.shape[1]), -1.0)
-    upper = np.append(np.full(lamps.shape[1], smooth.top), 1.0)
-    found = _solve(cost, rows, Bounds(0, upper))
-    return 0.0 if found is None else float(found[-1])
+    found, smooth = _Constraints.of(tasks), dataclasses.replace(dimmers, steps=None)
+    rows = np.hstack([found.rows @ smooth.lamps, found.needed])
+    high = np.full(rows.shape[1], smooth.top)
+    cost, high[-1] = np.zeros(len(high)), 1.0
+    cost[-1] = -1.0
+    best = _solve(cost, rows, found.limit, np.zeros(len(high)), high)
+    return 0.0 if best is None else float(best[-1])
+
+
+def _solve(
+    cost: _Array,
+    rows: _Array,
+    limit: _Array,
+    low: _Array,
+    high: _Array,
+    whole: NDArray[np.int64] | None = None,
+) -> _Array | None:
+    """The variables of least cost for which rows do not exceed their limits; None without any."""
+    # Rows of about 1: the solver's tolerances are absolute.
+    size = np.maximum(np.abs(rows).max(axis=1), 1e-300)
+    found = milp(
+        cost,
+        constraints=LinearConstraint(rows / size[:, None], ub=cast(Any, limit[:, 0] / size)),
+        bounds=Bounds(cast(Any, low), cast(Any, high)),
+        integrality=whole,
+        options={"mip_rel_gap": _GAP, "node_limit": _NODES},
+    )
+    return found.x
 
 
 def _shortage(tasks: Sequence[Task], dimmers: Dimmers) -> str:
