@@ -125,7 +125,7 @@ def test_the_size_of_a_file_is_that_of_its_opening_alone(name, folder):
     assert lux_below(5, dimmed) == pytest.approx(large / 2, rel=1e-3)
 
 
-@pytest.mark.parametrize("size", [None, 50])
+@pytest.mark.parametrize("size", [None, slow(50)])
 def test_a_file_in_a_scene_in_centimetres_gives_the_same_lux(size):
     """100 cd at 5 m; the file states metres, so that its own size is 20 cm."""
     lamp = lumitree.Placement("a.ies", at=(0, 0, 0), size=size)

@@ -79,6 +79,7 @@ def test_light_paths_and_camera_paths_agree_behind_an_alpha_mask(mi, tmp_path):
     assert (error < 0.06 * np.array(light.watts)).all()
 
 
+@pytest.mark.slow
 def test_flux_of_captured_views_agrees(lamp, tmp_path):
     from lumitree.trace.cameras import capture
 

@@ -239,6 +239,7 @@ class Plan:
         receivers: its points.
         lux, error, direct: [N] illuminance, its standard error, and its direct part, lx.
         floor: the room at a plane; None for other areas.
+        largest: of the colours, lx; default: the largest illuminance of the area.
         by_lamp: illuminance [N] by each lamp that lights the area, lx, by name; empty if it is
             not estimated.
     """
@@ -249,6 +250,7 @@ class Plan:
     error: NDArray[np.float64]
     direct: NDArray[np.float64]
     floor: FloorPlan | None
+    largest: float | None = None
     by_lamp: Mapping[str, NDArray[np.float64]] = dataclasses.field(default_factory=dict)
 
     @property
@@ -266,15 +268,20 @@ class Plan:
         return -(-len(self.by_lamp) // _MAPS_ACROSS) * (height + 0.4)
 
 
-def plan_png(plans: Sequence[Plan], direct_only: bool) -> bytes:
-    """The plans of areas, one below the other, as a PNG file; below each a small map by lamp."""
-    heights = [each for plan in plans for each in (plan.height, plan.height_by_lamp) if each]
-    figure = Sheet(figsize=(_WIDTH, sum(heights)), dpi=_DPI, layout="constrained")
-    rows = iter(figure.add_gridspec(len(heights), 1, height_ratios=heights))
+def plan_png(plans: Sequence[Plan], direct_only: bool, columns: int = 1) -> bytes:
+    """The plans of areas in rows of `columns` plans, as a PNG file.
+
+    In a single column, small maps by lamp are below each plan.
+    """
+    heights = [
+        each for plan in plans[::columns] for each in (plan.height, plan.height_by_lamp) if each
+    ]
+    figure = Sheet(figsize=(columns * _WIDTH, sum(heights)), dpi=_DPI, layout="constrained")
+    cells = iter(figure.add_gridspec(len(heights), columns, height_ratios=heights))
     for plan in plans:
-        _draw_plan(figure, figure.add_subplot(next(rows)), plan, direct_only)
+        _draw_plan(figure, figure.add_subplot(next(cells)), plan, direct_only)
         if plan.by_lamp:
-            _draw_lamps(figure, next(rows), plan)
+            _draw_lamps(figure, next(cells), plan)
     return figure.png()
 
 
@@ -300,7 +307,8 @@ def _draw_plan(figure: Figure, axes: Any, plan: Plan, direct_only: bool) -> None
         name, sign = _axis_name(along)
         axis.set_label_text(name)
         axis.set_major_formatter(lambda value, _, sign=sign: f"{sign * value + 0.0:g}")
-    levels = MaxNLocator(10).tick_values(0, area.largest if area.largest > 0 else 1.0)
+    largest = area.largest if plan.largest is None else plan.largest
+    levels = MaxNLocator(10).tick_values(0, largest if largest > 0 else 1.0)
     colours = _draw_lux(axes, plan.receivers, plan.lux, levels[-1])
     if plane is not None and min(plane.shape) > 1 and area.largest > area.smallest:
         u, v = place.reshape(*plane.shape, 2).transpose(2, 0, 1)
@@ -316,7 +324,7 @@ def _draw_plan(figure: Figure, axes: Any, plan: Plan, direct_only: bool) -> None
         for (u, v), value in zip(place, plan.lux, strict=True):
             if np.isfinite(value):
                 # Legible on the colour of the plan.
-                colour = "#111111" if value > 0.6 * area.largest else "#e7e5e4"
+                colour = "#111111" if value > 0.6 * largest else "#e7e5e4"
                 axes.text(u, v, f"{value:.3g}", color=colour, **style)
     figure.colorbar(colours, ax=axes, shrink=0.8, label="lx")
 

@@ -99,7 +99,7 @@ class IlluminanceResult(Result):
             from lumitree.measure.figures import plan_pdf, plan_png
 
             write = plan_png if kind == ".png" else plan_pdf
-            write_bytes(path, write(self._plans(), self.direct_only))
+            write_bytes(path, write(self.plans(), self.direct_only))
 
     def table(self) -> list[dict[str, Any]]:
         """A dictionary for each receiver, as the files have it."""
@@ -127,9 +127,10 @@ class IlluminanceResult(Result):
     def _repr_png_(self) -> bytes:
         from lumitree.measure.figures import plan_png
 
-        return plan_png(self._plans(), self.direct_only)
+        return plan_png(self.plans(), self.direct_only)
 
-    def _plans(self) -> "list[Plan]":
+    def plans(self) -> "list[Plan]":
+        """A plan for each area, for figures."""
         from lumitree.measure.figures import Plan
 
         arrays = (self.total, self.total_error, self.direct)

@@ -131,8 +131,8 @@ class DeviceAsset:
         if self.outline is not None:
             radiance = self.outline.radiance(origin, direction, active)
         else:
-            light = light or self.light
-            radiance, _ = light.eval(origin, origin, direction, active, parallel=parallel)
+            rest = origin, origin, direction, active
+            radiance, _ = (light or self.light).eval(*rest, parallel=parallel)
         return radiance, dr.full(mi.Float, 1, dr.width(radiance))
 
     def sample_ray(

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import warnings
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -24,7 +25,7 @@ from numpy.typing import NDArray
 
 from lumitree.core.device import on_device, parameter
 from lumitree.core.photometry import LUMA
-from lumitree.errors import LumitreeError
+from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.rendering.photograph import Highlights
 
 # Buffers of the first surface that is not specular, as Open Image Denoise expects them.
@@ -332,10 +333,16 @@ def _filter(radiance: NDArray[np.float32], recorded: Recorded) -> NDArray[np.flo
 
 
 def denoised_pixels(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """sRGB bytes [H, W, 3] with less noise; unchanged if the package is not installed."""
+    """sRGB bytes [H, W, 3] with less noise; unchanged, with a warning, without the package."""
     try:
         filter_with = _open_image_denoise().denoise
     except LumitreeError:
+        warnings.warn(
+            "the photograph is not denoised, since the package mitsuba-oidn is not installed; "
+            "install it with `pip install 'lumitree[denoise]'`",
+            LumitreeWarning,
+            stacklevel=2,
+        )
         return pixels
     encoded = np.ascontiguousarray(pixels / 255, np.float32)
     filtered = np.array(filter_with(encoded, srgb=True), np.float32)

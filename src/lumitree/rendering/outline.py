@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from lumitree.asset.light_field import LightField, Outline, unpack
 from lumitree.core.device import on_device, parameter
 from lumitree.rendering.device_light import bins_around
-from lumitree.rendering.sampling import safe_inverse, slab
+from lumitree.rendering.sampling import face_areas, safe_inverse, slab
 
 
 class LuminousOutline:
@@ -78,8 +78,7 @@ class LuminousOutline:
     def _projected_area(self, direction: mi.Vector3f) -> mi.Float:
         """As `formats.opening.Opening.projected_area`, local units."""
         h, d = self._half, dr.abs(direction)
-        # The sections of the box, by the axis that is normal to them.
-        faces = mi.Vector3f(h.y * h.z, h.x * h.z, h.x * h.y)
+        faces = face_areas(h) / 4
         if self._shape == "box":
             return 4 * dr.dot(faces, d)
         if self._shape == "ellipsoid":

@@ -88,7 +88,7 @@ SCENES = [
     *("clutter", "pane", "frosted", "beside fog", "in fog", "in milk", "in coloured milk"),
     *("coloured glass", "in coloured glass", "smooth diffuse", "smooth mirror", "smooth glass"),
 ]
-QUICK_SCENES = ["clutter", "beside fog", "in coloured milk", "smooth glass"]
+QUICK_SCENES = ["clutter", "beside fog", "smooth glass"]
 
 
 def middle(origin, direction):
