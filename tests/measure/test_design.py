@@ -207,3 +207,37 @@ def test_lamps_do_not_move_into_each_other(mi, even):
     )
     (first, *_), (second, *_) = (each.placement.at for each in result.lamps)
     assert second - first == pytest.approx(0.3, abs=0.03)
+
+
+def test_direct_illuminance_is_of_illuminance_and_has_derivatives(mi, even):
+    import drjit as dr
+
+    points = np.array([[0, 0, 0], [1, 0, 0.5], [-0.6, 0.2, 0.9]])
+    given = {"points": points, "normals": (0.1, 1, 0)}
+    scene = mi.load_dict(
+        ROOM
+        | {
+            "uneven": lumitree.shape(
+                uneven(), mi.ScalarTransform4f().translate([0.3, 1.5, 0.1]).scale(0.2)
+            ),
+            "even": lumitree.shape(even, mi.ScalarTransform4f().translate([1, 2, 1]).scale(0.01)),
+        }
+    )
+    found = lumitree.direct_illuminance(scene, **given)
+    places = [
+        lumitree.Placement(uneven(), at=(0.3, 1.5, 0.1), size=0.4),
+        lumitree.Placement(even, at=(1, 2, 1), size=0.02),
+    ]
+    expected = lumitree.illuminance(ROOM, places, **given, direct=True, error=0.005)
+    exact = lumitree.direct_illuminance(scene, **given, samples=1024)
+    assert np.array(exact) == pytest.approx(expected.direct, rel=0.01)
+    params = mi.traverse(scene)
+    key = next(key for key in params.keys() if key.startswith("uneven") and key.endswith("gain"))  # noqa: SIM118
+    params[key] = mi.Color3f(2.0)
+    params.update()
+    twice = np.array(lumitree.direct_illuminance(scene, **given)) - np.array(found)
+    dr.enable_grad(params[key])
+    params.update()
+    total = lumitree.direct_illuminance(scene, **given)
+    dr.backward(dr.sum(total))
+    assert sum(np.ravel(dr.grad(params[key]))) == pytest.approx(twice.sum(), rel=1e-3)
