@@ -103,12 +103,16 @@ def test_each_lamp_has_the_light_of_a_run_with_it_alone(mi):
         assert (np.abs(getattr(result, name) - getattr(plain, name)) < 4.5 * error).all()
 
 
-def test_the_error_of_the_total_ends_a_run_as_without_parts(mi):
-    scene = room(mi, **window(mi))
-    result = by_lamp(scene, lamps(), seed=3)
-    plain = lumitree.illuminance(scene, lamps(), points=POINTS, normals=NORMAL, seed=3)
-    assert result.samples == pytest.approx(plain.samples, rel=0.1)
+def test_parts_are_known_where_another_lamp_is_brighter(mi):
+    """A point close below a lamp has few samples, as only its total counts."""
+    near = np.array([[-0.8, 0.9, -0.6], *POINTS])
+    result = by_lamp(room(mi), lamps(), points=near)
+    plain = lumitree.illuminance(room(mi), lamps(), points=near, normals=NORMAL)
+    assert result.total[0] > 5 * result.total[1:].max()
+    assert result.samples[0] > 4 * plain.samples[0]
     assert (result.total_error <= 0.021 * result.total).all()
+    parts, most = result.by_lamp, np.minimum(result.total, result.total.mean())
+    assert (np.hypot(parts.direct_error, parts.reflected_error) <= 0.021 * most).all()
 
 
 def perforated(mi):
@@ -234,6 +238,22 @@ def test_files_have_columns_for_each_lamp(mi, tmp_path):
             assert [row[column] for row in receivers[:3]] == values[:3].tolist()
             assert rows[3][column] == ""
             assert receivers[3][column] is None
+
+
+def test_a_plan_has_a_map_for_each_lamp_that_lights_it(mi, tmp_path):
+    plane = lumitree.Plane((-0.6, -1, 0), extent=(1, 1), spacing=0.25)
+
+    def drawn(by_lamp):
+        result = lumitree.illuminance(
+            room(mi), lamps(), planes=[plane], error=EVERYTHING, by_lamp=by_lamp
+        )
+        result.save(tmp_path / "plan.png")
+        return result, mi.Bitmap(str(tmp_path / "plan.png")).size()[1]
+
+    (result, height), (_, without) = drawn(True), drawn(False)
+    # The room has no emitter.
+    assert list(result.by_lamp.lit(result.areas[0])) == ["lamp_0", "lamp_1", "lamp_2"]
+    assert height > without + 100
 
 
 def test_equal_seeds_give_equal_parts(mi):

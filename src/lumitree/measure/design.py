@@ -141,7 +141,7 @@ class DesignResult(Result):
             largest = max(plan.area.largest for plan in pair)
             for plan, when in zip(pair, ("before", "after"), strict=True):
                 area = dataclasses.replace(plan.area, name=f"{plan.area.name}, {when}")
-                found.append(dataclasses.replace(plan, area=area, largest=largest))
+                found.append(dataclasses.replace(plan, area=area, largest=largest, by_lamp={}))
         return found
 
 

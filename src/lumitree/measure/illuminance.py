@@ -135,7 +135,13 @@ class IlluminanceResult(Result):
 
         arrays = (self.total, self.total_error, self.direct)
         return [
-            Plan(area, receivers, *(each[area.part] for each in arrays), floor=floor)
+            Plan(
+                area,
+                receivers,
+                *(each[area.part] for each in arrays),
+                floor=floor,
+                by_lamp={} if self.by_lamp is None else self.by_lamp.lit(area),
+            )
             for area, receivers, floor in zip(self.areas, self.receivers, self.floors, strict=True)
         ]
 
@@ -177,8 +183,9 @@ def illuminance(
             there or, if this is more, to a tenth of the mean of all points; 0.0001 to 1.
         time: after which no more light is sampled, s, 0.001 to 10⁷; default: no limit.
         direct: whether to omit reflected light.
-        by_lamp: whether to also return the part of each lamp at each point, from the same samples;
-            `error` still concerns the total.
+        by_lamp: whether to also return the part of each lamp at each point, from the same samples.
+            Then no part has a larger standard error than the total may have at the point, or at a
+            point with the mean total.
         unit: unit of length of the scene: "m", "cm", "mm", "in", "ft", or the metres in a unit. It
             counts for `Placement.lumens` and for photometric files, which state metres; the
             illuminance of all other lamps follows from radiance.

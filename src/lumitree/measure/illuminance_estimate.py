@@ -281,17 +281,21 @@ class _LampLight:
         if samples.reflected is not None:
             self._reflected.add(at, samples.reflected)
 
-    def estimate(self, by_samples: NDArray[np.bool_], shared: _Array) -> _Array:
-        """Direct, its error, reflected and its error [4, G, N].
+    def variances(self, by_samples: NDArray[np.bool_], shared: _Array) -> tuple[_Array, _Array]:
+        """Variances of direct and reflected light.
 
         Args:
             by_samples: whether light may come that is not summed.
             shared: variance of the direct light beside the variance of the samples.
         """
-        direct, reflected = self._direct, self._reflected
-        variance = direct.variance + by_samples * self._others.doubt + shared
-        errors = np.sqrt(variance), np.sqrt(reflected.variance + reflected.doubt)
-        return np.stack([direct.mean, errors[0], reflected.mean, errors[1]])
+        direct = self._direct.variance + by_samples * self._others.doubt + shared
+        return direct, self._reflected.variance + self._reflected.doubt
+
+    def estimate(self, by_samples: NDArray[np.bool_], shared: _Array) -> _Array:
+        """Direct, its error, reflected and its error [4, G, N]; arguments as of `variances`."""
+        errors = map(np.sqrt, self.variances(by_samples, shared))
+        direct, reflected = zip((self._direct.mean, self._reflected.mean), errors, strict=True)
+        return np.stack([*direct, *reflected])
 
 
 def estimate(
@@ -318,22 +322,22 @@ def estimate(
     start, count = time.perf_counter(), len(points)
     everyone = np.arange(count)
     summed, summed_variance = _summed(scene, points, normals, _SUM_PART * error, seed)
-    parts = len(summed)
-    control, direct, total = _Control(parts, count), _Moments(count), _Moments(count)
+    groups = len(summed)
+    control, direct, total = _Control(groups, count), _Moments(count), _Moments(count)
     # Light that is not summed: its direct part, and all of it.
-    others, rest, shadows = _Moments(count), _Moments(count), _Shadows(parts, count)
-    lamps = _LampLight(parts, count) if isinstance(scene.layers, PathSums) else None
+    others, rest, shadows = _Moments(count), _Moments(count), _Shadows(groups, count)
+    lamps = _LampLight(groups, count) if isinstance(scene.layers, PathSums) else None
     sampler = _Sampler(scene, points, normals, seed)
-    for index in _chunks(everyone, _PILOT, parts):
+    for index in _chunks(everyone, _PILOT, groups):
         drawn = sampler.draw(index, _PILOT, reflected=False)
         control.add(index, drawn)
         shadows.add(index, drawn)
     left, samples, share = everyone, _MIN_SAMPLES, 0.0
-    largest, by_samples = np.zeros((parts, count)), np.zeros((parts, count), bool)
+    largest, by_samples = np.zeros((groups, count)), np.zeros((groups, count), bool)
     unsure = np.zeros(count)
     with progress("illuminance", 1.0) as advance:
         while len(left):
-            for index in _chunks(left, samples, parts):
+            for index in _chunks(left, samples, groups):
                 drawn = sampler.draw(index, samples, reflected=reflected)
                 c = control.coefficient(index)
                 known, found = c * summed[:, index], drawn.t - drawn.of_emitters(c) * drawn.w
@@ -360,6 +364,10 @@ def estimate(
             enough = (variance <= goal) & (~unseen | (number >= _UNSEEN))
             if not rest.hits.any():
                 enough &= number.sum() >= _UNSEEN
+            if lamps is not None:
+                # A part counts where another lamp is brighter, too.
+                parts = sum(lamps.variances(by_samples, shadows.doubt(summed)))
+                enough &= np.max(parts, axis=0) <= np.minimum(goal, (error * level) ** 2)
             # Samples for doubt are limited.
             enough |= (sampled <= goal) & (number >= _MAX_UNSEEN)
             left = np.flatnonzero(~enough & ~lost)

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 # Points of a call, and of an area, at most.
 MAX_POINTS = 1 << 20
+# Lamps whose maps a plan has.
+MAX_MAPS = 24
 _MAX_FILE_BYTES, _MAX_LINE = 1 << 28, 1 << 16
 _COLUMNS = ("x", "y", "z", "nx", "ny", "nz")
 _MAX_LENGTH = 1e9
@@ -268,6 +270,14 @@ class LampIlluminance:
         """Mean direct and reflected illuminance [L] of an area by each lamp, lx."""
         direct, reflected = self.direct[:, area.part], self.reflected[:, area.part]
         return np.nanmean(direct, axis=1), np.nanmean(reflected, axis=1)
+
+    def lit(self, area: AreaFigures) -> dict[str, NDArray[np.float64]]:
+        """Illuminance [N] of an area by the lamps that light it, `MAX_MAPS` at most, by name."""
+        total = (self.direct + self.reflected)[:, area.part]
+        found = [
+            (name, lux) for name, lux in zip(self.names, total, strict=True) if (lux > 0).any()
+        ]
+        return dict(found[:MAX_MAPS])
 
     def columns(self) -> dict[str, NDArray[np.float64]]:
         """Columns [N] of a table of receivers."""
