@@ -26,17 +26,17 @@ LINES = {
     "many": 620,
     "measure": 5_150,
     "octree": 1_050,
-    "rendering": 9_320,
+    "rendering": 9_340,
     "trace": 1_900,
-    "viewer": 1_470,
+    "viewer": 1_910,
 }
 FILES = 216
 OTHERS = {
-    "lines of tests": 41_900,
+    "lines of tests": 42_090,
     "lines of benchmarks": 9_850,
     "words of docs by hand": 45_000,
     "lines of README.md": 90,
-    "files that use the word gain": 12,
+    "files that use the word gain": 13,
     "lines with Any": 295,
     "private functions used once": 352,
 }

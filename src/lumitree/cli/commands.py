@@ -462,7 +462,7 @@ def _illuminance(given: Given) -> Any:
 def _mix(given: Given) -> Any:
     given = dict(given)
     output = given.pop("output")
-    check_outputs(output)
+    check_outputs(output, page=True)
     gains = {}
     for text in given.pop("gain", ()):
         name, equals, values = text.rpartition("=")
@@ -602,7 +602,11 @@ COMMANDS: dict[str, Command] = {
                 "LAYER=R,G,B: factors on the red, green and blue light of a layer, or one number "
                 "for all; may be repeated.",
             ),
-            "output": _IMAGE,
+            "output": dataclasses.replace(
+                _IMAGE,
+                help="File to write: .exr, linear radiance; .png, as --view shows it; or .html, a "
+                "web page with a dimmer for each layer, which begins as this image.",
+            ),
         },
     ),
     "info": Command(
