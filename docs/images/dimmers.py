@@ -87,10 +87,9 @@ def picture(options: argparse.Namespace) -> None:
         shot = options.work / f"{width}.png"
         # Chromium has no narrower windows than 500 pixels, but pages in frames are.
         frame = options.work.resolve() / "frame.html"
-        frame.write_text(
-            f'<body style="margin:0"><iframe src="{PAGE.resolve().as_uri()}" style="border:0;width:{width}px;'
-            f'height:{height}px"></iframe>'
-        )
+        style = f"border:0;width:{width}px;height:{height}px"
+        page = f'<iframe src="{PAGE.resolve().as_uri()}" style="{style}"></iframe>'
+        frame.write_text(f'<body style="margin:0">{page}', "utf-8")
         size = f"--window-size={max(width, 500)},{height + 100}"
         subprocess.run(
             ["chromium", *flags, size, f"--screenshot={shot}", frame.as_uri()], check=True

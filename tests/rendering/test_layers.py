@@ -320,6 +320,18 @@ def test_without_the_denoiser_nothing_is_rendered(room, monkeypatch):
         render(room, denoise=True)
 
 
+def test_a_photograph_without_the_denoiser_is_told(monkeypatch):
+    import sys
+
+    from lumitree.errors import LumitreeWarning
+    from lumitree.rendering.layers import denoised_pixels
+
+    monkeypatch.setitem(sys.modules, "mitsuba_oidn", None)
+    pixels = np.random.default_rng(0).integers(0, 256, (4, 4, 3), np.uint8)
+    with pytest.warns(LumitreeWarning, match=r"not denoised, .* 'lumitree\[denoise"):
+        assert np.array_equal(denoised_pixels(pixels), pixels)
+
+
 def test_heterogeneous_media_have_no_layers(room):
     medium = '<medium type="heterogeneous" name="interior"/>'
     text = room.read_text().replace("</bsdf></shape>", f"</bsdf>{medium}</shape>", 1)

@@ -250,7 +250,7 @@ class PlacedLamp(PlacedAsset):
 
     def make_tables(self) -> None:
         """Make the tables that the methods need."""
-        _ = self.straight, mi.is_spectral and self.device.spectra
+        _ = self.straight, self.device.outline, mi.is_spectral and self.device.spectra
         if self.stored is not None:
             _ = self.stored.table
         _ = self.device.field_rays if self.light is None else self.light.table
@@ -534,7 +534,7 @@ class PlacedLamp(PlacedAsset):
         else:
             radius, sampled = self.stored.radius, emitter_pmf > 0
             gets = active & ~(sampled & sampled_only(x, _CUTOFF_RADIUS * radius, bsdf_pdf))
-            if self.asset.num_leaves:
+            if self.asset.num_leaves or self.device.outline is not None:
                 gets &= ~mi.Bool(specular_chain)
             inverse = dr.select(sampled, radius * emitter_pmf / bsdf_pdf, 0)
             rest = x, entry, direction, inverse, span[1]
@@ -585,8 +585,14 @@ class PlacedLamp(PlacedAsset):
         specular_chain: mi.Bool | bool,
         span: Span,
     ) -> tuple[mi.Color3f, mi.Float]:
-        """Radiance and transmittance of rays: images show the field, receivers get `radiance`."""
+        """Radiance and transmittance of rays.
+
+        Images show the field or the luminous opening, receivers get `radiance`.
+        """
         if not self.asset.num_leaves:
+            if (outline := self.device.outline) is not None:
+                seen = outline.radiance(entry, direction, active & specular_chain)
+                radiance = dr.select(specular_chain, seen, radiance)
             return radiance, mi.Float(1)
         seen, through = self.field.emission(entry, direction, active & specular_chain, span)
         passed = self.shadow_field.transmittance(

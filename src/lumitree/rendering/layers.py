@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import warnings
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -22,8 +23,9 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.device import on_device
-from lumitree.errors import LumitreeError
+from lumitree.core.device import on_device, parameter
+from lumitree.core.photometry import LUMA
+from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.rendering.photograph import Highlights
 
 # Buffers of the first surface that is not specular, as Open Image Denoise expects them.
@@ -137,26 +139,83 @@ def _squares(record: dict[str, Any]) -> list[mi.Float]:
     return [grey * whole for grey in greys]
 
 
-class Layers(Seen):
-    """Groups of emitters whose light is recorded separately, by `KINDS`.
+class EmitterGroups:
+    """Groups of the emitters of a scene.
 
     Args:
         scene: mi.Scene.
         shapes: for each group but the first, the prefix of the ids of its shapes. All emitters in
             no other group belong to the first one.
+
+    Attributes:
+        count: number of groups.
+        of_emitters: [E] group of each emitter, in the order of the scene.
     """
 
     def __init__(self, scene: mi.Scene, shapes: Sequence[str] = ()) -> None:
-        self.groups = 1 + len(shapes)
-        emitters = np.array(dr.reinterpret_array(mi.UInt32, scene.emitters_dr()))
-        # By the number of an emitter among all emitters of the process.
-        group_of = np.zeros(emitters.max(initial=0) + 1, np.uint32)
-        for number, emitter in zip(emitters, scene.emitters(), strict=True):
+        self.count = 1 + len(shapes)
+        self.of_emitters = np.zeros(len(scene.emitters()), np.uint32)
+        for index, emitter in enumerate(scene.emitters()):
             shape = emitter.get_shape()
             for group, start in enumerate(shapes, 1):
                 if shape is not None and shape.id().startswith(start):
-                    group_of[number] = group
+                    self.of_emitters[index] = group
+        numbers = np.array(dr.reinterpret_array(mi.UInt32, scene.emitters_dr()))
+        # By the number of an emitter among all emitters of the process.
+        group_of = np.zeros(numbers.max(initial=0) + 1, np.uint32)
+        group_of[numbers] = self.of_emitters
         self._group_of = on_device(mi.UInt32, group_of)
+
+    def of(self, emitter: mi.EmitterPtr, active: mi.Bool) -> mi.UInt32:
+        """Groups of emitters of the scene."""
+        number = dr.reinterpret_array(mi.UInt32, emitter)
+        return dr.gather(mi.UInt32, self._group_of, number, active)
+
+
+class PathSums(Unrecorded):
+    """Light of each group that each path brings, in memory of the device: for any number of groups.
+
+    Attributes:
+        groups: of emitters.
+        sums: [groups x paths] luminance / `LUMENS_PER_WATT`; of each group, all paths in
+            succession.
+    """
+
+    def __init__(self, groups: EmitterGroups) -> None:
+        self.groups, self.sums = groups, mi.Float(0)
+
+    def clear(self, count: int) -> None:
+        """Begin with other paths, `count` of them."""
+        self.sums = dr.zeros(mi.Float, self.groups.count * count)
+        # A parameter: another number does not compile new kernels.
+        self._path, self._count = dr.arange(mi.UInt32, count), parameter(mi.UInt32, count)
+
+    def add_light(
+        self,
+        record: dict[str, Any],
+        emitter: mi.EmitterPtr,
+        radiance: mi.Spectrum,
+        seen: mi.Bool,
+        shown: mi.Bool,
+        active: mi.Bool,
+    ) -> None:
+        brought = dr.dot(radiance, mi.Color3f(LUMA))
+        found = active & (brought > 0)
+        place = self.groups.of(emitter, found) * self._count + self._path
+        # No two paths have a place in common, so the sums do not depend on the order of threads.
+        dr.scatter_add(self.sums, brought, place, found, mode=dr.ReduceMode.NoConflicts)
+
+
+class Layers(Seen):
+    """Groups of emitters whose light is recorded separately, by `KINDS`.
+
+    Args:
+        scene, shapes: as for `EmitterGroups`.
+    """
+
+    def __init__(self, scene: mi.Scene, shapes: Sequence[str] = ()) -> None:
+        self._groups = EmitterGroups(scene, shapes)
+        self.groups = self._groups.count
 
     def channel_names(self) -> list[str]:
         """Names of the film's further channels, in the order of `channels`."""
@@ -191,8 +250,7 @@ class Layers(Seen):
             seen: whether there are only specular surfaces between it and the camera.
             shown: whether there are only specular surfaces and its lamp's geometry between.
         """
-        number = dr.reinterpret_array(mi.UInt32, emitter)
-        group = dr.gather(mi.UInt32, self._group_of, number, active)
+        group = self._groups.of(emitter, active)
         for kind, mask in zip(KINDS, (seen, shown & ~seen, ~(seen | shown)), strict=True):
             for index in range(self.groups):
                 record[kind][index] += radiance & (active & mask & (group == index))
@@ -275,10 +333,16 @@ def _filter(radiance: NDArray[np.float32], recorded: Recorded) -> NDArray[np.flo
 
 
 def denoised_pixels(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """sRGB bytes [H, W, 3] with less noise; unchanged if the package is not installed."""
+    """sRGB bytes [H, W, 3] with less noise; unchanged, with a warning, without the package."""
     try:
         filter_with = _open_image_denoise().denoise
     except LumitreeError:
+        warnings.warn(
+            "the photograph is not denoised, since the package mitsuba-oidn is not installed; "
+            "install it with `pip install 'lumitree[denoise]'`",
+            LumitreeWarning,
+            stacklevel=2,
+        )
         return pixels
     encoded = np.ascontiguousarray(pixels / 255, np.float32)
     filtered = np.array(filter_with(encoded, srgb=True), np.float32)

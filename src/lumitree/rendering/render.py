@@ -230,7 +230,7 @@ def render(
 
     if denoise:
         check_denoiser()
-    names, watch = _names(placements), Stopwatch()
+    names, watch = layer_names(placements), Stopwatch()
 
     def result(
         rendering: "Rendering", pixels: NDArray[np.float32], filtered: bool, **parts: Any
@@ -329,7 +329,7 @@ def _described(placement: Placement, watts: NDArray[np.float64] | None) -> dict[
     return {**given, "source": placement.name, **flux}
 
 
-def _names(placements: Sequence[Placement]) -> list[str]:
+def layer_names(placements: Sequence[Placement]) -> list[str]:
     """Names of the layers: each once, of letters, digits, "_" and "-".
 
     OpenEXR files have other channels by the names RGB and RGBA.
