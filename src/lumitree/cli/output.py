@@ -25,12 +25,16 @@ def print_result(result: Any, opens: str | os.PathLike[str] | None = None) -> No
     print_open(opens)
 
 
-def check_outputs(image: str, *buffers: str | None) -> None:
-    """Refuse an image, or OpenEXR files of layers and buffers, that cannot be written."""
+def check_outputs(image: str, *buffers: str | None, page: bool = False) -> None:
+    """Refuse an image, or OpenEXR files of layers and buffers, that cannot be written.
+
+    Args:
+        page: whether a page may be written in place of the image.
+    """
     from lumitree.core.files import check_writable
     from lumitree.core.images import check_exr_name, check_image_name
 
-    check_image_name(image)
+    check_image_name(image, page=page)
     check_writable(image)
     for path in buffers:
         if path is not None:
