@@ -15,7 +15,7 @@ SOURCE = ROOT / "src/lumitree"
 
 # Lines of Python by package of `src/lumitree`; "" are the modules beside the packages.
 LINES = {
-    "": 415,
+    "": 425,
     "asset": 2_800,
     "cli": 1_840,
     "core": 4_830,
