@@ -26,7 +26,7 @@ LINES = {
     "many": 620,
     "measure": 5_150,
     "octree": 1_050,
-    "rendering": 9_420,
+    "rendering": 9_780,
     "trace": 1_900,
     "viewer": 1_290,
 }
