@@ -111,7 +111,7 @@ def lux_below(distance, placement, unit="m"):
     return float(found.total[0])
 
 
-@pytest.mark.parametrize("name", ["a.lumitree", "lamp.tm33"])
+@pytest.mark.parametrize("name", ["a.lumitree", slow("lamp.tm33")])
 def test_the_size_of_a_file_is_that_of_its_opening_alone(name, folder):
     """E = I / d² whatever the size: intensities of a file are absolute."""
     lumitree.bake("a.ies", "a.lumitree")
@@ -125,7 +125,7 @@ def test_the_size_of_a_file_is_that_of_its_opening_alone(name, folder):
     assert lux_below(5, dimmed) == pytest.approx(large / 2, rel=1e-3)
 
 
-@pytest.mark.parametrize("size", [None, 50])
+@pytest.mark.parametrize("size", [None, slow(50)])
 def test_a_file_in_a_scene_in_centimetres_gives_the_same_lux(size):
     """100 cd at 5 m; the file states metres, so that its own size is 20 cm."""
     lamp = lumitree.Placement("a.ies", at=(0, 0, 0), size=size)
@@ -134,6 +134,7 @@ def test_a_file_in_a_scene_in_centimetres_gives_the_same_lux(size):
     assert lux_below(500, watts, "cm") == pytest.approx(150 / np.pi / 25, rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_shape_of_a_file_keeps_its_intensities_when_it_is_scaled(mi, folder):
     lumitree.register()
     gldf = {

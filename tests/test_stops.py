@@ -131,6 +131,7 @@ def run_out_of_disk(*_, **__):
 UNFINISHED = [f"out/lamp.work/{name}" for name in (MARKER, "light.npz", "octree.npz")]
 
 
+@pytest.mark.slow
 def test_a_stopped_bake_writes_its_best_and_continues(tiny, steps, capfd):
     steps.before[3] = lambda: signal.raise_signal(signal.SIGTERM)
     assert main(list(BAKE)) == 128 + signal.SIGTERM

@@ -57,7 +57,7 @@ def set_variant(variant):
 @pytest.mark.parametrize(
     ("first", "variant"),
     slow_but_sets(
-        [("mitsuba", "llvm_ad_rgb"), ("mitsuba", "scalar_rgb"), ("lumitree", None)],
+        [("mitsuba", "scalar_rgb"), ("lumitree", None)],
         ("mitsuba", "lumitree"),
         (None, "llvm_ad_rgb", "scalar_rgb"),
     ),

@@ -103,6 +103,7 @@ def test_workers_share_the_cores(pool):
     assert pool.submit(executors.num_threads).result() == max(1, num_cores() // 2)
 
 
+@pytest.mark.slow
 def test_images_are_those_of_one_process(pool):
     expected = rendered(spp=18, seed=3)
     for executor in (LastFirst(), pool):

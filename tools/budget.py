@@ -15,24 +15,24 @@ SOURCE = ROOT / "src/lumitree"
 
 # Lines of Python by package of `src/lumitree`; "" are the modules beside the packages.
 LINES = {
-    "": 405,
+    "": 415,
     "asset": 2_800,
-    "cli": 1_730,
+    "cli": 1_840,
     "core": 4_830,
     "exports": 3_600,
     "fit": 5_850,
     "formats": 4_100,
     "lamp": 10_450,
     "many": 620,
-    "measure": 5_150,
+    "measure": 6_460,
     "octree": 1_050,
-    "rendering": 9_780,
+    "rendering": 9_920,
     "trace": 1_900,
-    "viewer": 1_290,
+    "viewer": 1_470,
 }
-FILES = 216
+FILES = 222
 OTHERS = {
-    "lines of tests": 41_900,
+    "lines of tests": 42_900,
     "lines of benchmarks": 9_850,
     "words of docs by hand": 45_000,
     "lines of README.md": 90,

@@ -2,7 +2,7 @@
 
     python docs/images/photographs.py --rooms FOLDER --data FOLDER [--work FOLDER] [--spp N]
 
-Rooms and cameras are as in the benchmark `finished`; there is a desk and an office, too. "Before"
+Rooms are as in the benchmark `finished`; there is a desk and an office, too. "Before"
 is the log-average of all light at 15 % of white, clipped, without white balance.
 """
 
@@ -27,6 +27,7 @@ from lumitree.rendering.photograph import Highlights, PhotoSettings, ev_of_white
 
 PICTURE = Path(__file__).parent / "photographs.jpg"
 WIDTH, HEIGHT, SHOWN = 560, 315, 400
+PENDANT = Eye((3.9, 4.4, 2.9), (-1.2, 4.85, -1.4), 85.0)
 CHANDELIER = Eye((2.6, 1.75, -0.9), (1.0, 2.3, -1.75), 45.0)
 Placed = tuple[str, list[lumitree.Placement]]
 
@@ -85,7 +86,7 @@ class Scenes:
         return self._room("living_room", EYES["living_room"]), [lamp]
 
     def hall(self) -> Placed:
-        """A chandelier and an arc lamp in a hall"""
+        """A chandelier and a standing globe in a hall"""
         chandelier = self._lamp("megeon_chandelier/luminaire_bulb.xml")
         return self._room("modern_hall", EYES["modern_hall"]), [
             lumitree.Placement(chandelier, at=(-2.4, 4.85, 1.5), size=1.5, lumens=4000),
@@ -95,12 +96,12 @@ class Scenes:
     def veach(self) -> Placed:
         """A pendant lamp over a table"""
         lamp = lumitree.Placement(self._lamp("dallas"), at=(0, 6.78, -1), size=2.4)
-        return self._room("veach_bidir", EYES["veach_bidir"]), [lamp]
+        return self._room("veach_bidir", PENDANT), [lamp]
 
     def desk(self) -> Placed:
         """A desk lamp, a book and a glass"""
         lamp = self._lamp("little_lamp/luminaire.xml")
-        eye = Eye((10.5, 8, -13), (1.6, 2.2, 2), 38.0)
+        eye = Eye((10.5, 8, -13), (1.6, 1.6, 2), 42.0)
         return self._seen(DESK, self._work / "desk.xml", eye), [lumitree.Placement(lamp)]
 
     def chandelier(self) -> Placed:
@@ -115,7 +116,7 @@ class Scenes:
         file.write_text(PANEL)
         text = (ROOT / "examples/office.xml").read_text()
         eye = Eye((1.9, 1.5, 1.4), (-0.6, 1.35, -0.7), 85.0)
-        panels = [lumitree.Placement(str(file), at=(x, 2.69, -0.2)) for x in (-1.0, 0.8)]
+        panels = [lumitree.Placement(str(file), at=(x, 2.69, -0.2)) for x in (-1.3, -0.1)]
         return self._seen(text, self._work / "office.xml", eye), panels
 
     def _lamp(self, source: str) -> str:

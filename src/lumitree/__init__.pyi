@@ -54,6 +54,11 @@ from .many.bake_many import bake_many as bake_many
 from .many.bake_many import collect as collect
 from .many.result import BakedLamp as BakedLamp
 from .many.result import BakeManyResult as BakeManyResult
+from .measure.design import DesignedArea as DesignedArea
+from .measure.design import DesignedLamp as DesignedLamp
+from .measure.design import DesignResult as DesignResult
+from .measure.design import design as design
+from .measure.dimming import TaskPlane as TaskPlane
 from .measure.evaluate import EvaluateResult as EvaluateResult
 from .measure.evaluate import evaluate as evaluate
 from .measure.glare import Glare as Glare
@@ -85,17 +90,19 @@ from .measure.preview import (
     preview as preview,
 )
 from .measure.receivers import AreaFigures as AreaFigures
+from .measure.receivers import LampIlluminance as LampIlluminance
 from .measure.receivers import Plane as Plane
 from .measure.receivers import Surface as Surface
 from .rendering.asset_cache import load as load
-from .rendering.image import MixResult as MixResult
-from .rendering.image import mix as mix
 from .rendering.placement import Placement as Placement
 from .rendering.placement import read_placements as read_placements
+from .rendering.placement import write_placements as write_placements
 from .rendering.register import register as register
 from .rendering.register import shape as shape
 from .rendering.render import RenderResult as RenderResult
 from .rendering.render import render as render
 from .trace.light_field_config import LightFieldConfig as LightFieldConfig
+from .viewer.mix import MixResult as MixResult
+from .viewer.mix import mix as mix
 from .viewer.view import ViewResult as ViewResult
 from .viewer.view import view as view

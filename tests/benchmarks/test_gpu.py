@@ -17,6 +17,7 @@ from benchmarks.gpu_parts.part import Context, Part
 from benchmarks.gpu_parts.parts import all_parts
 from benchmarks.gpu_parts.running import Run, run_parts
 from benchmarks.gpu_parts.sizes import SIZES
+from support.slow import slow
 
 ROOT = Path(__file__).parents[2]
 
@@ -77,10 +78,10 @@ def part(name="a", seconds=60.0):
     ("code", "seconds", "outcome", "reason"),
     [
         ('report({"x": 1}, "done")', 60.0, "done", ""),
-        ('report({"x": 1}, "done"); time.sleep(600)', 60.0, "done", ""),
+        slow('report({"x": 1}, "done"); time.sleep(600)', 60.0, "done", ""),
         ('report({"x": 1}); os.kill(os.getpid(), 11)', 60.0, "failed", "by SIGSEGV"),
         ('report({"x": 1}); print("no memory"); exit(3)', 60.0, "failed", "exit status 3: no mem"),
-        ('report({"x": 1}); time.sleep(600)', 60.0, "unfinished", ""),
+        slow('report({"x": 1}); time.sleep(600)', 60.0, "unfinished", ""),
     ],
 )
 def test_what_a_part_leaves(run, monkeypatch, code, seconds, outcome, reason):

@@ -143,7 +143,7 @@ def rod_lux(distance):
         slow(DISK, 1, [0, -RADIUS, 0], 100 / (2 * RADIUS**2)),
         # π L times four corners, where 100 cd are 4 r² L.
         slow(SQUARE, 1, [0, -RADIUS, 0], 100 / (4 * RADIUS**2) * np.pi * 4 * square_corner(1, 1)),
-        (ROD, 0, [0, -0.5, 0], rod_lux(0.5)),
+        slow(ROD, 0, [0, -0.5, 0], rod_lux(0.5)),
         slow(UPRIGHT, 0, [2 * RADIUS, 0, 0], None),
     ],
 )

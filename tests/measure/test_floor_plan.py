@@ -75,7 +75,7 @@ def test_plans_have_coordinates_of_the_scene_and_a_legend(scene, lamp):
     assert area.enclosed > 0
     figure = Figure()
     axes = figure.subplots()
-    _draw_plan(figure, axes, result._plans()[0], True)
+    _draw_plan(figure, axes, result.plans()[0], True)
     assert axes.get_title() == (
         f"low: direct illuminance, mean {area.mean:.4g} lx, U0 {area.uniformity:.2f}"
     )

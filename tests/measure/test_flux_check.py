@@ -11,6 +11,7 @@ from lumitree.lamp.luminaire import load_luminaire
 from lumitree.measure.irradiance import check_flux, luminaire_irradiance
 from lumitree.trace.flux import estimate_flux, flux_by_camera_paths
 from support.lamps import AREA, GLASS, cube, lamp_of, sphere
+from support.slow import slow
 
 BALL = 4 * np.pi**2 * np.array([3, 2, 1])
 FOG = (
@@ -29,7 +30,7 @@ def test_the_flux_of_a_bare_ball_is_its_area_times_pi_radiance(mi, tmp_path):
     assert found.hits == pytest.approx(found.paths / 3, rel=0.01)
 
 
-@pytest.mark.parametrize("around", [GLASS, FOG])
+@pytest.mark.parametrize("around", [GLASS, slow(FOG)])
 def test_both_agree_through_glass_and_fog(mi, tmp_path, around):
     shapes = sphere("shell", 2, inside=around), cube("plate", (1, 0.1, 1), (0, -1, 0), GREY)
     lamp = lamp_of(tmp_path, sphere("ball", 0.5, inside=AREA), *shapes)
@@ -64,6 +65,7 @@ def test_a_difference_is_told_with_both_numbers(mi):
     assert found["camera_paths"] < 0.9 * found["light_paths"]
 
 
+@pytest.mark.slow
 def test_a_difference_by_chance_is_estimated_again(mi):
     one = load_luminaire({"type": "sphere", "emitter": {"type": "area", "radiance": 1.0}})
     explicit = luminaire_irradiance(one, 1 << 16)

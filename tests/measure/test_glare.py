@@ -9,6 +9,7 @@ import pytest
 
 import lumitree
 from support.ies_text import ies_text
+from support.slow import slow
 
 
 def position_index(across, up):
@@ -278,7 +279,7 @@ def panel(tmp_path, name="panel.ies"):
     return str(tmp_path / name)
 
 
-@pytest.mark.parametrize("unit", [1.0, 0.01])
+@pytest.mark.parametrize("unit", [1.0, slow(0.01)])
 def test_ugr_of_a_lamp_by_hand(mi, tmp_path, unit):
     """One panel 1.5 m above the eye, and 3 m ahead.
 
@@ -295,6 +296,7 @@ def test_ugr_of_a_lamp_by_hand(mi, tmp_path, unit):
     assert found.ugr == pytest.approx(18.013, abs=0.01)
 
 
+@pytest.mark.slow
 def test_ugr_of_several_lamps(mi, tmp_path):
     """Sums over an array, lamps that are turned, scaled and dimmed, and one behind the eye."""
     source = panel(tmp_path)

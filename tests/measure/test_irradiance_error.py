@@ -27,7 +27,6 @@ from lumitree.octree.field import Field
 from lumitree.trace.light_field_config import LightFieldConfig
 from support.fields import random_asset, uniform_asset
 from support.lamps import AREA, cube, lamp_of, scene, sphere
-from support.slow import slow
 
 SIDE = 2 * CUBE_HALF_SIDE / PATCHES
 
@@ -71,7 +70,8 @@ def test_a_sphere_lights_its_surroundings_by_the_closed_form(mi, tmp_path):
     assert flux == pytest.approx(4 * np.pi**2 * np.array([3, 2, 1]), rel=1e-5)
 
 
-@pytest.mark.parametrize("face", [3, slow(4), slow(6)])
+@pytest.mark.slow
+@pytest.mark.parametrize("face", [3, 4, 6])
 def test_a_field_lights_its_surroundings_as_lines_towards_it_say(mi, face):
     """Against the mean over points of a patch and directions to the bounding sphere."""
     half_extents = np.array([1.0, 0.7, 0.8])

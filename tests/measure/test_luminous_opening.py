@@ -14,6 +14,7 @@ from lumitree.formats.ldt import ldt_of, read_ldt
 from lumitree.formats.opening import Opening, opening_around
 from lumitree.formats.type_c import Grid, IntensityDistribution
 from lumitree.measure.photometric_figures import CATALOGUE_ROOM
+from support.slow import slow
 
 DATA = Path(os.environ.get("LUMITREE_DATA", Path(__file__).parents[2].parent / "shared" / "data"))
 # A ball of 806 lm on a foot: its radius and height, and the diameter of the foot, m.
@@ -129,7 +130,7 @@ def lux(placement, point):
 
 
 @pytest.mark.parametrize("name", ["lamp.ies", "lamp.ldt"])
-@pytest.mark.parametrize("direction", [(1, 0, 0), (0.3, 1, 0), (0.6, -0.3, 0.5)])
+@pytest.mark.parametrize("direction", [slow((1, 0, 0)), slow((0.3, 1, 0)), (0.6, -0.3, 0.5)])
 def test_a_file_gives_the_light_of_the_ball_from_five_times_the_opening(measured, name, direction):
     """E = Φ / 4 pi d² of a Lambertian ball, at any distance."""
     _, folder = measured

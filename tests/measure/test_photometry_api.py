@@ -146,6 +146,7 @@ def test_units_and_upward_axes(mi):
     assert offset == pytest.approx(np.tile([0.01, 0.03, -0.02], (len(rays), 1)), abs=1e-4)
 
 
+@pytest.mark.slow
 def test_a_file_that_states_no_colour_has_none(folder):
     lamp = lumitree.photometry("lamp.xml", ["a.ies"], step=30, paths=PATHS)
     file = lumitree.photometry("a.ies", ["b.html"], step=30, paths=PATHS)

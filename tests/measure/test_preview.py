@@ -9,6 +9,7 @@ from lumitree.core.images import tonemap
 from lumitree.lamp.luminaire import load_luminaire
 from support.figures import texts, tile_pixels
 from support.lamps import AREA, cube, scene, sphere
+from support.slow import slow
 
 # A lit ball to the right, above and in front of the middle of a box of side 4.
 BALL = (1.0, 0.5, 1.5)
@@ -46,7 +47,7 @@ def test_every_view_is_taken_from_where_it_says(preview):
         assert place == pytest.approx(expected[name], abs=0.05), name
 
 
-@pytest.mark.parametrize(("resolution", "side"), [(16, 192), (700, 640)])
+@pytest.mark.parametrize(("resolution", "side"), [(16, 192), slow(700, 640)])
 def test_views_show_pixels_one_to_one_where_legible(resolution, side):
     from lumitree.measure.preview import VIEWS, Preview, draw_preview
     from lumitree.trace.cameras import ViewImages

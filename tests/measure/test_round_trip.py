@@ -103,6 +103,7 @@ def test_light_of_one_half_has_the_angles_of_its_file(mi, tmp_path, first, share
     assert upward_share(light, frame) == share
 
 
+@pytest.mark.slow
 def test_angles_finer_than_any_grid_are_told(mi, tmp_path):
     gamma = np.concatenate([np.arange(0, 2, 0.2), np.arange(2, 91, 2.0)])
     (tmp_path / "a.ies").write_text(ies("C", np.zeros(1), gamma, np.exp(-(gamma**2))[None]))

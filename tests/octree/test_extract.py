@@ -38,7 +38,7 @@ def as_asset(children, density, coefficients, tree_depth):
     )
 
 
-@pytest.mark.parametrize("tree_depth", [2, 3, 5, 6, slow(7)])
+@pytest.mark.parametrize("tree_depth", [2, 3, 5, slow(6), slow(7)])
 def test_ball(tree_depth):
     children, density, coefficients = extract(ball(), np.ones(3), tree_depth, samples_per_leaf=64)
     asset = as_asset(children, density, coefficients, tree_depth)

@@ -401,6 +401,7 @@ def test_light_by_way_of_a_mirror_counts_in_full(mi):
     assert (np.abs(a - b) < 4 * error).all()
 
 
+@pytest.mark.slow
 def test_a_camera_sees_the_field_and_a_wall_gets_the_light_field_light(mi):
     """Directly and by a mirror; nothing counts twice."""
     opaque = uniform_asset(1e4, [1.0, 1.0, 1.0])

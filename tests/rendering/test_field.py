@@ -9,6 +9,7 @@ from lumitree.core.device import on_device
 from lumitree.octree.build import child_cells
 from support.fields import make_asset, random_asset
 from support.reference_field import integrate_ray
+from support.slow import slow
 
 
 def trace(mi, asset, origins, directions):
@@ -55,7 +56,7 @@ def test_random_rays(mi, seed, law, l_max, thin):
     )
 
 
-@pytest.mark.parametrize(("seed", "depth"), [(0, 7), (1, 7), (2, 9)])
+@pytest.mark.parametrize(("seed", "depth"), [(0, 7), slow(1, 7), slow(2, 9)])
 def test_random_rays_through_a_deep_tree(mi, seed, depth):
     # More levels than one wide node has, and more leaves a ray than are put off together.
     random = np.random.default_rng(seed)

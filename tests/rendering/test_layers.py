@@ -1,16 +1,18 @@
 """Light of lamps recorded apart, buffers of surfaces, budgets, and denoising."""
 
 import dataclasses
+import io
 from contextlib import nullcontext
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import lumitree
 from lumitree.cli import main
-from lumitree.core.images import read_exr
+from lumitree.core.images import read_exr, write_exr
 from lumitree.errors import LumitreeError
 from support.fields import random_asset
 from support.geometry_assets import small_geometry, with_geometry
@@ -137,6 +139,34 @@ def test_mix_changes_the_light_of_one_layer(room, lamps, tmp_path):
     render(room, spp=1, aov=True).save_aov(image)
     with pytest.raises(LumitreeError, match="is not made of layers only; expected"):
         lumitree.mix(image)
+
+
+def test_mixed_lamps_are_clamped_before_pixels_are_averaged(room, lamps, tmp_path):
+    """The edge of the room's emitter, as of an image that was rendered with the gain."""
+    path, shown = tmp_path / "layers.exr", {"exposure": "ev=-9.5", "white_balance": "off"}
+    result = render(room, lamps, spp=32, layers=True, **shown)
+    highlights = result.layer_highlights
+    assert result.highlights is not None
+    assert highlights["room"].square.max() == pytest.approx(4, rel=1e-4)
+    for name in ("seen", "square"):
+        total = sum(getattr(each, name) for each in highlights.values())
+        assert total == pytest.approx(getattr(result.highlights, name), rel=1e-4, abs=1e-6)
+    result.save_layers(path)
+    from_file, from_result = (pixels_of(lumitree.mix(each, **shown)) for each in (path, result))
+    assert np.array_equal(from_file, from_result)
+    assert from_file == pytest.approx(pixels_of(result), abs=1)
+    room.write_text(room.read_text().replace("3, 2, 1", "9, 6, 3"))
+    brighter = pixels_of(render(room, lamps, spp=32, layers=True, **shown))
+    found = pixels_of(lumitree.mix(path, {"room": 3}, **shown))
+    assert found == pytest.approx(brighter, abs=1)
+    # Files of versions without highlights.
+    write_exr(path, result.layers)
+    old = pixels_of(lumitree.mix(path, {"room": 3}, **shown))
+    assert (old - brighter).max() > 20
+
+
+def pixels_of(image):
+    return np.asarray(Image.open(io.BytesIO(image.png)), int)
 
 
 @pytest.mark.slow
@@ -288,6 +318,18 @@ def test_without_the_denoiser_nothing_is_rendered(room, monkeypatch):
         LumitreeError, match=r"needs the package mitsuba-oidn .* 'lumitree\[denoise"
     ):
         render(room, denoise=True)
+
+
+def test_a_photograph_without_the_denoiser_is_told(monkeypatch):
+    import sys
+
+    from lumitree.errors import LumitreeWarning
+    from lumitree.rendering.layers import denoised_pixels
+
+    monkeypatch.setitem(sys.modules, "mitsuba_oidn", None)
+    pixels = np.random.default_rng(0).integers(0, 256, (4, 4, 3), np.uint8)
+    with pytest.warns(LumitreeWarning, match=r"not denoised, .* 'lumitree\[denoise"):
+        assert np.array_equal(denoised_pixels(pixels), pixels)
 
 
 def test_heterogeneous_media_have_no_layers(room):

@@ -192,6 +192,23 @@ def test_a_filament_is_clamped_before_pixels_are_averaged():
     assert not clamped.any()
 
 
+def test_a_filament_with_a_gain():
+    """As if the samples had it; the square is by the mean of R, G and B."""
+    warm, gain = np.array([1.5, 1.0, 0.5]), np.array([2.0, 0.5, 0.25])
+    seen, highlights = filament([0.0, 0.25, 1.0])
+    found = Highlights(seen * warm, highlights.square).scaled(gain)
+    level = (warm * gain).mean()
+    assert found.seen == pytest.approx(seen * warm * gain)
+    assert found.square == pytest.approx(level**2 * highlights.square)
+
+
+def test_the_automatic_exposure_is_not_computed_in_vain(image, monkeypatch):
+    from lumitree.rendering import photograph
+
+    monkeypatch.setattr(photograph, "automatic_ev", lambda _: pytest.fail("it is computed"))
+    assert plain("ev=3").photograph(image).ev == 3
+
+
 def test_the_edge_of_a_filament_is_no_staircase():
     """It is smooth in a photograph; without knowledge of its cover it would be white at once."""
     seen, highlights = filament(np.tile([0, 0, 0.02, 1, 1, 0.02, 0, 0], (9, 1))[0])

@@ -2,6 +2,7 @@
 
 # pyright: reportArgumentType=false
 import dataclasses
+import os
 
 import numpy as np
 import pytest
@@ -212,3 +213,28 @@ def test_render_takes_the_file_and_options(tmp_path, mi, monkeypatch, capsys):
     capsys.readouterr()
     assert main(["render", "room.xml", "-o", "a.png", "--lumens", "3"]) == 2
     assert "--lumens comes before any --place" in capsys.readouterr().err
+
+
+def test_placements_are_read_as_they_were_written(tmp_path):
+    folder = tmp_path / "sub"
+    folder.mkdir()
+    (folder / "lights.toml").write_text(PLACEMENTS)
+    array = lumitree.Placement(
+        str(tmp_path / "a.lumitree"), (1, 2, 3), grid=(2, 1), pitch=(1, 0), label='the "row"\t\x7f'
+    )
+    placements = [*lumitree.read_placements(folder / "lights.toml"), array]
+    lumitree.write_placements(tmp_path / "written.toml", placements)
+    found = lumitree.read_placements(tmp_path / "written.toml")
+    for each, expected in zip(found, placements, strict=True):
+        assert dataclasses.replace(each, source=expected.source) == expected
+    assert found[1].source == "bulbs"
+    assert os.path.samefile(os.path.dirname(found[0].source), folder)
+    for wrong in (lumitree.Placement(LIGHT_FIELD, label="a"), lumitree.Placement("a.lumitree")):
+        with pytest.raises(LumitreeError, match="has no label, or is no file"):
+            lumitree.write_placements(tmp_path / "written.toml", [wrong])
+
+
+def test_a_dimmed_lamp_has_a_part_of_its_gain():
+    lamp = lumitree.Placement("a.lumitree", gain=(1, 0.5, 0.25))
+    assert lamp.dimmed(0.5).gain == (0.5, 0.25, 0.125)
+    assert lumitree.Placement("a.lumitree").dimmed(0.5).gain == 0.5

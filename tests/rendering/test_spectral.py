@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import support.spectral_images as images
+from support.slow import slow
 from support.variant import VARIANT
 
 SPECTRAL = VARIANT.replace("_rgb", "_spectral")
@@ -91,10 +92,10 @@ def test_the_kernel_interpolates_the_table(tables):
     ("command", "message"),
     [
         (["render", "room.xml", "-o", "a.png", "--denoise"], "denoise, layers and aov need an RGB"),
-        (["render", "room.xml", "-o", "a.png", "--layers", "a.exr"], "need an RGB variant"),
+        slow(["render", "room.xml", "-o", "a.png", "--layers", "a.exr"], "need an RGB variant"),
         (["photometry", "bulbs"], "spectral variants only render scenes"),
-        (["preview", "bulbs", "-o", "a.png"], "spectral variants only render scenes"),
-        (["capture", "bulbs", "-o", "views"], "spectral variants only render scenes"),
+        slow(["preview", "bulbs", "-o", "a.png"], "spectral variants only render scenes"),
+        slow(["capture", "bulbs", "-o", "views"], "spectral variants only render scenes"),
     ],
 )
 def test_what_needs_rgb_is_refused_in_one_line(tmp_path, command, message):

@@ -383,6 +383,7 @@ def test_straight_light_comes_from_emitters_alone(mi, small):
         )
 
 
+@pytest.mark.slow
 def test_light_of_glass_comes_from_the_light_field_alone(mi, tmp_path):
     """Nothing is straight behind glass: without the emitters it is as bright."""
     bulb = sphere("bulb", 0.15, (0, 0.1, 0), glows(6, 5, 3))

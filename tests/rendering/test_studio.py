@@ -74,6 +74,7 @@ def test_a_field_is_seen_before_the_backdrop(mi):
     assert (asset_photographs(dim, [POSE], 2.0, 16, 4, 0.1)[0][8, 8] < 255).all()
 
 
+@pytest.mark.slow
 def test_portraits_of_a_lamp_and_its_asset_are_exposed_alike(lamp):
     from lumitree.rendering.photograph import white_radiance
     from lumitree.rendering.studio import portrait

@@ -5,6 +5,7 @@ import pytest
 
 from lumitree.lamp.luminaire import load_luminaire
 from support.lamps import AREA, GLASS, cube, scene, sphere
+from support.slow import slow
 
 RADIUS = 2.0
 KNOWN = 4 * np.pi**2 * RADIUS**2 * np.array([3.0, 2.0, 1.0])
@@ -19,7 +20,7 @@ def lamp(mi, tmp_path):
 
 
 # All light paths of a bare sphere carry the same, so that rounding is all of their error.
-@pytest.mark.parametrize(("light_paths", "rounding"), [(True, 1e-4), (False, 0.0)])
+@pytest.mark.parametrize(("light_paths", "rounding"), [(True, 1e-4), slow(False, 0.0)])
 def test_emissive_sphere_has_flux_4_pi2_r2_l(lamp, light_paths, rounding):
     from lumitree.trace.flux import estimate_flux
     from support.camera_flux import flux_by_camera_paths
@@ -78,6 +79,7 @@ def test_light_paths_and_camera_paths_agree_behind_an_alpha_mask(mi, tmp_path):
     assert (error < 0.06 * np.array(light.watts)).all()
 
 
+@pytest.mark.slow
 def test_flux_of_captured_views_agrees(lamp, tmp_path):
     from lumitree.trace.cameras import capture
 

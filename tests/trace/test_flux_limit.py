@@ -50,6 +50,7 @@ def test_the_sum_of_the_flux_is_the_same(mi, facetted):
     assert next(ends) == pytest.approx(next(ends), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_straight_light_is_as_without_a_limit(mi, facetted):
     """Flux that was cut off is given to bent light, whose gain it was."""
     whole, limited = (trace(mi, facetted, BELOW_ROULETTE, limit) for limit in (None, 2))
@@ -60,6 +61,7 @@ def test_straight_light_is_as_without_a_limit(mi, facetted):
     assert not np.allclose(flux(limited)[:, ~straight], flux(whole)[:, ~straight], rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_no_path_is_much_above_the_limit(mi, facetted):
     """But by what is given to all of them."""
     start = 0.04 * 4 * np.pi**2 * 3 / COUNT / facetted.frame.scale**2

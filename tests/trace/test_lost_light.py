@@ -92,6 +92,7 @@ def test_less_than_a_thousandth_of_the_light_is_warned_of(mi, tmp_path, opacity,
     assert float(found[1]) == pytest.approx(share, rel=0.5)
 
 
+@pytest.mark.slow
 def test_opaque_glass_of_blender_is_named_with_the_line_that_mends_it(mi, tmp_path):
     balls = [trimesh.creation.icosphere(subdivisions=2, radius=radius) for radius in (0.1, 0.5)]
     lines, offset = ["mtllib lamp.mtl"], 1

@@ -5,6 +5,7 @@ import pytest
 
 from lumitree.errors import LumitreeError
 from lumitree.lamp.dataset import Dataset
+from support.slow import slow
 
 SPHERE = (
     '<shape type="sphere"><float name="radius" value="2"/>'
@@ -224,7 +225,7 @@ def test_missing_files_and_wrong_formats(mi, tmp_path):
         load_luminaire(tmp_path / "half.xml")
 
 
-@pytest.mark.parametrize(("resolution", "samples"), [(1500, 128), (64, 1 << 12)])
+@pytest.mark.parametrize(("resolution", "samples"), [slow(1500, 128), (64, 1 << 12)])
 def test_every_batch_of_a_view_has_random_numbers_of_its_own(
     luminaire, monkeypatch, resolution, samples
 ):

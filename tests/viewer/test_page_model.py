@@ -237,6 +237,7 @@ def albedo(mi, cosine):
     )
 
 
+@pytest.mark.slow
 def test_black_plastic_is_smooth(mi):
     from lumitree.viewer.model import page_model
 

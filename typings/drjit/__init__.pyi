@@ -30,6 +30,7 @@ class ReduceOp:
 
 class ReduceMode:
     Direct: ReduceMode
+    NoConflicts: ReduceMode
 
 def backend_v(arg: Any) -> JitBackend: ...
 def type_v(arg: Any) -> Any: ...

@@ -22,7 +22,7 @@ Symbols
 import dataclasses
 import functools
 import string
-from typing import TypeVar
+from typing import Literal, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,9 @@ from lumitree.octree.build import morton
 _FIELD, _INSIDE = "light field", "light inside the box"
 Number = TypeVar("Number", bound=np.generic)
 
+# Luminous openings by shape; a cylinder by its axis.
+Outline = Literal["box", "ellipsoid", "cylinder-x", "cylinder-y", "cylinder-z"]
+OUTLINES: tuple[Outline, ...] = get_args(Outline)
 # A cell is named by 10 bits a coordinate, and a device array of all bins has at most 2³¹.
 MAX_DEPTH, MAX_RESOLUTION = 7, 512
 MAX_BINS = 1 << 28
@@ -216,6 +219,8 @@ class LightField:
             as in a photometric file.
         absolute: whether a photometric file or a ray file states the intensities, so that they do
             not depend on the size of the lamp.
+        outline: the luminous opening, which images show; it fills the lamp's box. None if the light
+            is known by cells only.
 
     Raises:
         LumitreeError: a member has a wrong type, shape or range.
@@ -231,6 +236,7 @@ class LightField:
     traced: TracedPaths | None = None
     inside: LightInside | None = None
     absolute: bool = False
+    outline: Outline | None = None
 
     def __post_init__(self) -> None:
         """Refuse what a renderer could not use safely."""
@@ -262,6 +268,8 @@ class LightField:
         expect(_FIELD, self.lit.any(axis=1).all(), "a cell emits nothing")
         emits = (self.intensity & ((1 << EXPONENT_SHIFT) - 1)).all()
         expect(_FIELD, emits, "an intensity is 0")
+        known = self.outline is None or self.outline in OUTLINES
+        expect(_FIELD, known, f"outline {self.outline!r}, expected one of {OUTLINES}")
         if self.inside is not None:
             self.inside.check_beside(self.cells, depth, resolution)
 
@@ -318,6 +326,7 @@ def make_light_field(
     *,
     bent: NDArray[np.floating] | None = None,
     absolute: bool = False,
+    outline: Outline | None = None,
 ) -> LightField:
     """A light field from the intensities of all bins.
 
@@ -327,7 +336,7 @@ def make_light_field(
         depth: of the grid.
         traced: the light paths that the intensities were estimated from, if they are known.
         bent: [C, R², 3] the part of the intensity that is not straight; default: all.
-        absolute: as of `LightField`.
+        absolute, outline: as of `LightField`.
 
     Raises:
         LumitreeError: nothing is emitted, or a number is out of range.
@@ -354,6 +363,7 @@ def make_light_field(
         scale=scale,
         traced=traced,
         absolute=absolute,
+        outline=outline,
     )
 
 

@@ -11,7 +11,7 @@ from typing import Annotated
 import numpy as np
 
 from lumitree.asset.array_stream import Arrays, Layout, compressed, decompressed
-from lumitree.asset.light_field import MAX_BINS, LightField, LightInside, TracedPaths
+from lumitree.asset.light_field import MAX_BINS, LightField, LightInside, Outline, TracedPaths
 from lumitree.core.results import Json
 from lumitree.core.tables import Range
 from lumitree.errors import LumitreeError
@@ -47,6 +47,7 @@ class LightDescription:
     traced: TracedPaths | None = None
     inside: _InsideSizes | None = None
     absolute: bool = False
+    outline: Outline | None = None
 
 
 # Before the names of arrays of the light inside.
@@ -80,9 +81,10 @@ def stored_light_field(field: LightField) -> tuple[Arrays, Json]:
         traced=field.traced,
         inside=sizes,
         absolute=field.absolute,
+        outline=field.outline,
     )
     members = dataclasses.asdict(description)
-    for name in ("traced", "inside", "absolute"):
+    for name in ("traced", "inside", "absolute", "outline"):
         if not members[name]:
             del members[name]
     return {"light.stream": compressed(arrays, layouts_of(description))}, members
@@ -110,6 +112,7 @@ def build_light_field(description: LightDescription, tensors: Arrays) -> LightFi
         traced=description.traced,
         inside=inside,
         absolute=description.absolute,
+        outline=description.outline,
     )
 
 

@@ -19,6 +19,7 @@ from cyclopts import Group, Parameter
 from lumitree.cli.output import (
     check_outputs,
     image_report,
+    print_design,
     print_exported,
     print_illuminance,
     print_lamps,
@@ -163,11 +164,23 @@ GROUPS = {
     "plane": ("Plane", "centre"),
     "surface": ("Surface", "shape"),
 }
+# Groups of commands; their planes are of another class in `design`.
+_GROUPS_OF = {
+    "render": ("place",),
+    "illuminance": ("place", "plane", "surface"),
+    "design": ("place", "plane"),
+}
 
 
-def group_options(begin: str) -> dict[str, Option]:
-    """The option that begins a group, and the options for the other fields, for the help."""
+def _kind(command: str, begin: str) -> tuple[str, str]:
+    """The class of a group, and the field whose option begins it."""
     kind, first = GROUPS[begin]
+    return ("TaskPlane" if (command, begin) == ("design", "plane") else kind), first
+
+
+def group_options(command: str, begin: str) -> dict[str, Option]:
+    """The option that begins a group, and the options for the other fields, for the help."""
+    kind, first = _kind(command, begin)
     group = Parameter(group=Group(f"For each --{begin}"))
     found = {
         name: dataclasses.replace(each, type=Annotated[each.type, group], default=None)
@@ -188,8 +201,9 @@ def join_groups(command: str, arguments: Sequence[str]) -> list[str]:
 
     cyclopts has no options that depend on their order.
     """
-    groups = {"render": ("place",), "illuminance": ("place", "plane", "surface")}.get(command, ())
-    fields = {begin: options_of(GROUPS[begin][0]).keys() - {GROUPS[begin][1]} for begin in groups}
+    groups = _GROUPS_OF.get(command, ())
+    kinds = {begin: _kind(command, begin) for begin in groups}
+    fields = {begin: options_of(kind).keys() - {first} for begin, (kind, first) in kinds.items()}
     if "place" in fields:
         fields["place"] |= _READING.keys()
     joined: list[str | dict[str, Any]] = []
@@ -219,12 +233,12 @@ def join_groups(command: str, arguments: Sequence[str]) -> list[str]:
     return [each if isinstance(each, str) else json.dumps(each) for each in joined]
 
 
-def _grouped(begin: str, given: Given) -> list[Any]:
+def _grouped(command: str, begin: str, given: Given) -> list[Any]:
     """The objects of the groups of one kind, which it takes from the arguments."""
     import lumitree
     from lumitree.lamp.source import LuminaireSource
 
-    (kind, first), found = GROUPS[begin], []
+    (kind, first), found = _kind(command, begin), []
     for text in given.pop(begin, ()):
         values = json.loads(text)
         reading = {
@@ -244,7 +258,7 @@ def _places(given: Given) -> list[Any]:
     import lumitree
 
     file = given.pop("placements", None)
-    return (lumitree.read_placements(file) if file else []) + _grouped("place", given)
+    return (lumitree.read_placements(file) if file else []) + _grouped("", "place", given)
 
 
 # Arguments of `bake` that are settings.
@@ -450,7 +464,7 @@ def _illuminance(given: Given) -> Any:
         check_illuminance_output(path)
     given["placements"] = _places(given)
     for name in ("plane", "surface"):
-        given[f"{name}s"] = _grouped(name, given)
+        given[f"{name}s"] = _grouped("illuminance", name, given)
     if "points" in given:
         given["points"], given["normals"] = read_points(given["points"])
     result = call("illuminance", given)
@@ -459,16 +473,39 @@ def _illuminance(given: Given) -> Any:
     return result
 
 
+def _design(given: Given) -> Any:
+    from lumitree.measure.design import check_design_output
+
+    given = dict(given)
+    outputs = given.pop("output", ())
+    for path in outputs:
+        check_design_output(path)
+    given["placements"] = _places(given)
+    given["planes"] = _grouped("design", "plane", given)
+    if "watts" in given:
+        given["watts"] = dict(_named("watts", text, vector(1)) for text in given["watts"])
+    if "move" in given:
+        axes = (_named("move", text, TEXT) for text in given["move"])
+        given["move"] = {name: text.replace(",", "") for name, text in axes}
+    result = call("design", given)
+    for path in outputs:
+        result.save(path)
+    return result
+
+
+def _named(option: str, text: str, kind: Any) -> tuple[str, Any]:
+    """Name and value of NAME=VALUE."""
+    name, equals, value = text.rpartition("=")
+    if not equals or not name:
+        raise LumitreeError(f"--{option}: {text!r} is not NAME=VALUE, such as lamp=0.5")
+    return name, convert(option, Option(kind, ""), value)
+
+
 def _mix(given: Given) -> Any:
     given = dict(given)
     output = given.pop("output")
     check_outputs(output)
-    gains = {}
-    for text in given.pop("gain", ()):
-        name, equals, values = text.rpartition("=")
-        if not equals or not name:
-            raise LumitreeError(f"{text!r} is not LAYER=GAIN; write lamp=0.5")
-        gains[name] = convert("gain", Option(vector(1, 3), ""), values)
+    gains = dict(_named("gain", text, vector(1, 3)) for text in given.pop("gain", ()))
     result = call("mix", given | {"gain": gains})
     result.save(output)
     return image_report(result, output)
@@ -540,7 +577,9 @@ def _placements() -> Option:
 
 def _needed(function: str, name: str = "output") -> dict[str, Option]:
     """An option that only Python has a default for: there the result is not lost without it."""
-    return {name: dataclasses.replace(options_of(function)[name], default=NEEDED)}
+    option = options_of(function)[name]
+    described = option.help.removesuffix(" Default: no file is written.")
+    return {name: dataclasses.replace(option, help=described, default=NEEDED)}
 
 
 COMMANDS: dict[str, Command] = {
@@ -626,9 +665,41 @@ COMMANDS: dict[str, Command] = {
             ),
             "points": _file("Further points: a CSV file with the columns x, y, z, nx, ny, nz."),
             "placements": _placements(),
-            **group_options("place"),
-            **group_options("surface"),
-            **group_options("plane"),
+            **group_options("illuminance", "place"),
+            **group_options("illuminance", "surface"),
+            **group_options("illuminance", "plane"),
+        },
+    ),
+    "design": Command(
+        "design",
+        _design,
+        lambda result, given: print_design(result, given.get("output", ())),
+        lambda: {
+            "output": dataclasses.replace(
+                options_of("photometry")["output"],
+                help="File to write: .toml (placements with the dim levels), .png or .pdf (plans "
+                "before and after) or .json (figures); may be repeated.",
+            ),
+            "group": Option(
+                TEXTS,
+                "Lamps whose names match the pattern, with * and ?, have one level; may be "
+                "repeated.",
+            ),
+            "move": Option(
+                TEXTS,
+                "LAMP=AXES: lamps that match may move along these axes of the scene, such as x,z; "
+                "may be repeated.",
+            ),
+            "turn": Option(TEXTS, "Lamps that match may turn; may be repeated."),
+            "free": Option(TEXTS, "Lamps that match may move and turn; may be repeated."),
+            "watts": Option(
+                TEXTS,
+                "LAMP=WATTS: electric power at level 1 of the lamps that match; may be repeated. "
+                "The power is then minimised, and not the luminous flux.",
+            ),
+            "placements": _placements(),
+            **group_options("design", "place"),
+            **group_options("design", "plane"),
         },
     ),
     "render": Command(
@@ -638,7 +709,7 @@ COMMANDS: dict[str, Command] = {
         lambda: {
             "output": _IMAGE,
             "placements": _placements(),
-            **group_options("place"),
+            **group_options("render", "place"),
             "progressive": Option(
                 bool,
                 "Write the image again and again while it is rendered, before denoising.",

@@ -245,10 +245,56 @@ def print_illuminance(result: Any, outputs: Sequence[str]) -> None:
     heads = ("area", "points", "mean", "smallest", "largest", "U0", "Ud")
     kind = "direct illuminance, lx" if result.direct_only else "illuminance, lx"
     _print_table(kind, heads, rows)
+    if result.by_lamp is not None:
+        for area in (each for each in result.areas if each.enclosed < each.count):
+            _print_lamps(area, result.by_lamp)
     if enclosed := sum(area.enclosed for area in result.areas):
         print(f"note: {enclosed:,} points are inside solids, and do not count")
     print_lines({f"{stage} (s)": round(value, 1) for stage, value in result.seconds.items()})
     print_open(next(iter(outputs), None))
+
+
+def print_design(result: Any, outputs: Sequence[str]) -> None:
+    """Print the illuminance before, predicted and simulated, and the dim levels."""
+    rows = []
+    for area in result.areas:
+        plane, columns = area.plane, (area.before, area.predicted, area.simulated)
+        for name, wanted, digits in (
+            ("mean", plane.target, ".4g"),
+            ("smallest", plane.minimum, ".4g"),
+            ("uniformity", plane.uniformity, ".3f"),
+            ("largest", plane.maximum, ".4g"),
+        ):
+            found = (f"{getattr(each, name):{digits}}" for each in columns)
+            rows.append(
+                (shown(area.before.name, 100), name, f"{wanted:g}" if wanted else "", *found)
+            )
+    heads = ("area", "lx", "needed", "before", "predicted", "simulated")
+    _print_table("illuminance", heads, rows)
+    lamps = []
+    for lamp in result.lamps:
+        place = ", ".join(f"{each:.3g}" for each in lamp.placement.at or ())
+        lamps.append((shown(lamp.label, 100), f"{lamp.level:.3f}", f"{lamp.lumens:,.0f}", place))
+    _print_table("lamps", ("lamp", "level", "lm", "at"), lamps)
+    unit, before = result.unit, result.cost_before
+    print_lines(
+        {
+            "all lamps": f"{result.cost:,.0f} {unit}, before {before:,.0f} {unit}",
+            "one level for all": f"{result.cost_of_equal_levels:,.0f} {unit} for the same minimum",
+            **{f"{stage} (s)": round(value, 1) for stage, value in result.seconds.items()},
+        }
+    )
+    print_open(next(iter(outputs), None))
+
+
+def _print_lamps(area: Any, lamps: Any) -> None:
+    """Print the mean illuminance of an area by each lamp."""
+    rows = []
+    for name, direct, reflected in zip(lamps.names, *lamps.means(area), strict=True):
+        share = (direct + reflected) / area.mean if area.mean > 0 else 0.0
+        rows.append((shown(name, 60), f"{direct:.4g}", f"{reflected:.4g}", f"{100 * share:.1f} %"))
+    heads = ("lamp", "direct", "reflected", "of the mean")
+    _print_table(f"{shown(area.name, 100)}: mean by lamp, lx", heads, rows)
 
 
 def print_photometry(result: Any) -> None:

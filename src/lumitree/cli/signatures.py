@@ -74,6 +74,9 @@ def options_of(name: str) -> dict[str, Option]:
     module, found = _public()[name], _definition(name)
     helps = meanings(ast.get_docstring(found) or "")
     options = {}
+    if isinstance(found, ast.ClassDef):
+        for base in map(ast.unparse, found.bases):
+            options |= options_of(base) if base in _public() else {}
     for parameter, annotation, default in _parameters(found):
         if (kind := _option_type(parameter, annotation, module)) is not None:
             options[parameter] = Option(

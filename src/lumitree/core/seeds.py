@@ -53,6 +53,9 @@ class Purpose(enum.IntEnum):
     SPECTRUM = 27  # flux of each emitter of a luminaire, by which its spectrum is weighted
     CELLS = 28  # cells of a light field; draw 0: light paths, 1: which segments
     FIELD_RAYS = 29  # rays of a radiance field, from which its light field is made; step: batch
+    # Root seeds of illuminance in a design; step: round; draw 1: of the last simulation. Draw 2:
+    # places in cells of light fields.
+    DESIGN = 30
 
 
 @dataclasses.dataclass(frozen=True)

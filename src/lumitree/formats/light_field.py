@@ -111,7 +111,7 @@ class StartCells:
 
 def bake_distribution(distribution: IntensityDistribution, colour: RGB = WHITE) -> Asset:
     """Asset that emits a distribution from its opening, in linear RGB `colour` of luminance 1."""
-    opening = distribution.opening
+    opening, outline = distribution.opening, distribution.opening.outline
     if max(opening.sides) < _MIN_EXTENT:
         opening = Opening((POINT_SIZE, POINT_SIZE, POINT_SIZE))
     sides = np.array(opening.sides)
@@ -125,7 +125,7 @@ def bake_distribution(distribution: IntensityDistribution, colour: RGB = WHITE) 
         depth, cells, shares = _projected_shares(opening, frame, math.isqrt(len(candela)))
     watts = candela / LUMENS_PER_WATT / frame.scale**2
     intensity = (shares * watts)[..., None] * np.array(colour)
-    field = make_light_field(cells, intensity, depth, absolute=True)
+    field = make_light_field(cells, intensity, depth, absolute=True, outline=outline)
     return light_field_asset(field, frame, distribution.name)
 
 

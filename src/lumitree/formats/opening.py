@@ -11,12 +11,14 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.asset.light_field import Outline
 from lumitree.errors import LumitreeError
 
 Array = NDArray[np.float64]
 Shape = Literal["box", "ellipsoid", "cylinder"]
 Sides = tuple[float, float, float]
 _MAX_SIDE = 1e6
+_CYLINDERS: tuple[Outline, ...] = ("cylinder-x", "cylinder-y", "cylinder-z")
 # Points of the quadrature of a surface. Flat ones are cheap, since all directions share them.
 _NUM_SIDE, _NUM_ROUND, _NUM_DISK, _NUM_ELLIPSOID = 20, 80, 512, 3072
 _NUM_FLAT_SIDE, _NUM_FLAT_DISK = 64, 1 << 14
@@ -105,6 +107,13 @@ class Opening:
         if self.shape == "cylinder" and self.sides[self.axis] == 0:
             name = flat if self.axis == 1 else f"disk that faces {('C0', '', 'C90')[self.axis]}"
         return f"{name}, {x:.4g} x {z:.4g} x {up:.4g} m (C0, C90, up)"
+
+    @property
+    def outline(self) -> Outline:
+        """Its shape in its bounding box; a point is seen as a ball."""
+        if max(self.sides) == 0:
+            return "ellipsoid"
+        return _CYLINDERS[self.axis] if self.shape == "cylinder" else self.shape
 
     def scaled(self, factor: float) -> "Opening":
         """The opening with all lengths times a factor."""

@@ -70,6 +70,8 @@ _PLAN_NOTE = (
 )
 _SECTION, _EDGES, _LAMPS, _ENCLOSED = "#1c1917", "#44403c", "#f97316", "#a8a29e"
 _LUX = colormaps["viridis"].with_extremes(bad=_ENCLOSED)
+# Maps of lamps side by side.
+_MAPS_ACROSS = 4
 # Degrees from the axis up to which light is drawn as a cone.
 _WIDEST = 85
 _COLOURS = {"C0-C180": "#1f4e9c", "C90-C270": "#c2410c"}
@@ -237,6 +239,9 @@ class Plan:
         receivers: its points.
         lux, error, direct: [N] illuminance, its standard error, and its direct part, lx.
         floor: the room at a plane; None for other areas.
+        largest: of the colours, lx; default: the largest illuminance of the area.
+        by_lamp: illuminance [N] by each lamp that lights the area, lx, by name; empty if it is
+            not estimated.
     """
 
     area: AreaFigures
@@ -245,6 +250,8 @@ class Plan:
     error: NDArray[np.float64]
     direct: NDArray[np.float64]
     floor: FloorPlan | None
+    largest: float | None = None
+    by_lamp: Mapping[str, NDArray[np.float64]] = dataclasses.field(default_factory=dict)
 
     @property
     def height(self) -> float:
@@ -253,14 +260,28 @@ class Plan:
         sides = np.ptp(flat, axis=0) if floor is None else floor.high - floor.low
         return float(np.clip(_WIDTH * 0.8 * sides[1] / max(sides[0], 1e-9), 1.5, 9)) + 1.1
 
+    @property
+    def height_by_lamp(self) -> float:
+        """Inches of the maps by lamp in a PNG file."""
+        sides = np.ptp(self.receivers.flat(), axis=0)
+        height = _WIDTH / _MAPS_ACROSS * float(np.clip(sides[1] / max(sides[0], 1e-9), 0.3, 2))
+        return -(-len(self.by_lamp) // _MAPS_ACROSS) * (height + 0.4)
 
-def plan_png(plans: Sequence[Plan], direct_only: bool) -> bytes:
-    """The plans of areas, one below the other, as a PNG file."""
-    heights = [plan.height for plan in plans]
-    figure = Sheet(figsize=(_WIDTH, sum(heights)), dpi=_DPI, layout="constrained")
-    axes = figure.subplots(len(plans), 1, squeeze=False, height_ratios=heights)[:, 0]
-    for each, plan in zip(axes, plans, strict=True):
-        _draw_plan(figure, each, plan, direct_only)
+
+def plan_png(plans: Sequence[Plan], direct_only: bool, columns: int = 1) -> bytes:
+    """The plans of areas in rows of `columns` plans, as a PNG file.
+
+    In a single column, small maps by lamp are below each plan.
+    """
+    heights = [
+        each for plan in plans[::columns] for each in (plan.height, plan.height_by_lamp) if each
+    ]
+    figure = Sheet(figsize=(columns * _WIDTH, sum(heights)), dpi=_DPI, layout="constrained")
+    cells = iter(figure.add_gridspec(len(heights), columns, height_ratios=heights))
+    for plan in plans:
+        _draw_plan(figure, figure.add_subplot(next(cells)), plan, direct_only)
+        if plan.by_lamp:
+            _draw_lamps(figure, next(cells), plan)
     return figure.png()
 
 
@@ -286,23 +307,15 @@ def _draw_plan(figure: Figure, axes: Any, plan: Plan, direct_only: bool) -> None
         name, sign = _axis_name(along)
         axis.set_label_text(name)
         axis.set_major_formatter(lambda value, _, sign=sign: f"{sign * value + 0.0:g}")
-    levels = MaxNLocator(10).tick_values(0, area.largest if area.largest > 0 else 1.0)
-    limits = {"vmin": 0, "vmax": levels[-1]}
-    if plane is None:
-        colours = axes.scatter(*place.T, c=plan.lux, s=12, **limits)
-    else:
-        centre = plan.receivers.axes @ plane.centre
-        half, grid = np.array(plane.extent) / 2, plan.lux.reshape(plane.shape)
-        sides = np.column_stack([centre - half, centre + half]).ravel()
-        # Interpolation would spread values that are missing.
-        smooth = "nearest" if np.isnan(grid).any() else "bilinear"
-        style = {"cmap": _LUX, "origin": "lower", "interpolation": smooth}
-        colours = axes.imshow(grid, extent=sides, **style, **limits)
-        if min(plane.shape) > 1 and area.largest > area.smallest:
-            u, v = place.reshape(*plane.shape, 2).transpose(2, 0, 1)
-            lines = axes.contour(u, v, grid, levels=levels, colors="white", linewidths=1.0)
-            if area.count > _MAX_VALUES:
-                axes.clabel(lines, fontsize=7, fmt="%g")
+    largest = area.largest if plan.largest is None else plan.largest
+    levels = MaxNLocator(10).tick_values(0, largest if largest > 0 else 1.0)
+    colours = _draw_lux(axes, plan.receivers, plan.lux, levels[-1])
+    if plane is not None and min(plane.shape) > 1 and area.largest > area.smallest:
+        u, v = place.reshape(*plane.shape, 2).transpose(2, 0, 1)
+        grid = plan.lux.reshape(plane.shape)
+        lines = axes.contour(u, v, grid, levels=levels, colors="white", linewidths=1.0)
+        if area.count > _MAX_VALUES:
+            axes.clabel(lines, fontsize=7, fmt="%g")
     if plan.floor is not None:
         _draw_floor(axes, plan.floor, area.enclosed > 0)
     if area.count <= _MAX_VALUES:
@@ -311,9 +324,33 @@ def _draw_plan(figure: Figure, axes: Any, plan: Plan, direct_only: bool) -> None
         for (u, v), value in zip(place, plan.lux, strict=True):
             if np.isfinite(value):
                 # Legible on the colour of the plan.
-                colour = "#111111" if value > 0.6 * area.largest else "#e7e5e4"
+                colour = "#111111" if value > 0.6 * largest else "#e7e5e4"
                 axes.text(u, v, f"{value:.3g}", color=colour, **style)
     figure.colorbar(colours, ax=axes, shrink=0.8, label="lx")
+
+
+def _draw_lux(axes: Any, receivers: Receivers, lux: NDArray[np.float64], largest: float) -> Any:
+    """Illuminance in false colours, from 0 to `largest`."""
+    plane, limits = receivers.plane, {"vmin": 0, "vmax": largest}
+    if plane is None:
+        return axes.scatter(*receivers.flat().T, c=lux, s=12, **limits)
+    centre, half = receivers.axes @ plane.centre, np.array(plane.extent) / 2
+    grid, sides = lux.reshape(plane.shape), np.column_stack([centre - half, centre + half]).ravel()
+    # Interpolation would spread values that are missing.
+    smooth = "nearest" if np.isnan(grid).any() else "bilinear"
+    style = {"cmap": _LUX, "origin": "lower", "interpolation": smooth}
+    return axes.imshow(grid, extent=sides, **style, **limits)
+
+
+def _draw_lamps(figure: Figure, place: Any, plan: Plan) -> None:
+    """A small map of the illuminance by each lamp, from 0 to its own largest value."""
+    maps = place.subgridspec(-(-len(plan.by_lamp) // _MAPS_ACROSS), _MAPS_ACROSS)
+    for part, (name, lux) in zip(maps, plan.by_lamp.items(), strict=False):
+        axes = figure.add_subplot(part, aspect="equal", xticks=[], yticks=[])
+        largest = np.nanmax(lux)
+        _draw_lux(axes, plan.receivers, lux, largest)
+        title = f"{shown(name, 24)}\nmean {np.nanmean(lux):.3g}, largest {largest:.3g} lx"
+        axes.set_title(title, fontsize=7, pad=3, parse_math=False)
 
 
 def _draw_floor(axes: Any, floor: FloorPlan, has_enclosed: bool) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.geometry import MeshShape
+from lumitree.asset.light_field import Outline
 from lumitree.core.device import on_device
 from lumitree.measure.receivers import Plane
 
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 _PIXELS, _AROUND = 600, 0.25
 # Height of an edge, in pixels: surfaces that are steeper than this are steps.
 _STEP = 3
+# Corners of an outline that is round.
+_ROUND = 48
 _CORNERS = np.stack(np.meshgrid(*3 * [[-1.0, 1.0]]), axis=-1).reshape(-1, 3)
 
 
@@ -81,15 +84,32 @@ def floor_plan(plane: Plane, scene: mi.Scene, lamps: Sequence[PlacedLuminaire]) 
 
 
 def _outline(lamp: PlacedLuminaire, axes: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Convex outline [K, 2] of a lamp along two axes: of its meshes, or of its bounding box."""
+    """Convex outline [K, 2] of a lamp along two axes.
+
+    It is the outline of its meshes, of its luminous opening, or of its bounding box.
+    """
     geometry = None if lamp.asset is None else lamp.asset.geometry
     if geometry is not None and all(isinstance(each, MeshShape) for each in geometry.shapes):
         matrix, points = lamp.scene_from_world, geometry.vertices + np.array(geometry.origin)
     else:
-        matrix = lamp.scene_from_box
-        points = _CORNERS
+        matrix, light = lamp.scene_from_box, None if lamp.asset is None else lamp.asset.light_field
+        points = _CORNERS if light is None else opening_points(light.outline)
     flat = (points @ matrix[:3, :3].T + matrix[:3, 3]) @ axes.T
     # Joggled: a flat lamp that is seen from its edge has no area.
     from scipy.spatial import ConvexHull
 
     return flat[ConvexHull(flat, qhull_options="QJ").vertices]
+
+
+def opening_points(outline: Outline | None) -> NDArray[np.float64]:
+    """Points [N, 3] of an opening in the box [-1, 1]³, whose convex hull it is."""
+    if outline is None or outline == "box":
+        return _CORNERS
+    angle = np.linspace(0, 2 * np.pi, _ROUND, endpoint=False)
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    if outline == "ellipsoid":
+        rings = [np.insert(circle, axis, 0.0, axis=1) for axis in range(3)]
+    else:
+        axis = "xyz".index(outline[-1])
+        rings = [np.insert(circle, axis, end, axis=1) for end in (-1.0, 1.0)]
+    return np.concatenate(rings)

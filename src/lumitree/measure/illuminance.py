@@ -21,6 +21,7 @@ from lumitree.core.seeds import check_seed
 from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown, shown_names
 from lumitree.measure.receivers import (
     AreaFigures,
+    LampIlluminance,
     Plane,
     Receivers,
     Surface,
@@ -28,6 +29,7 @@ from lumitree.measure.receivers import (
     collect,
 )
 from lumitree.rendering.placement import Placement
+from lumitree.rendering.render import layer_names
 
 if TYPE_CHECKING:
     from lumitree.measure.figures import Plan
@@ -41,6 +43,10 @@ _COLUMNS = (
     *("area", "x", "y", "z", "nx", "ny", "nz"),
     *("direct_lx", "direct_error_lx", "total_lx", "total_error_lx"),
 )
+# Fields of an estimate that a result has.
+_FOUND = ("direct", "direct_error", "total", "total_error", "samples")
+# Parts of lamps at points, at most; each takes 200 bytes.
+_MAX_PARTS = 10_000_000
 
 
 @dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
@@ -55,6 +61,8 @@ class IlluminanceResult(Result):
             inside solids.
         direct_error, total_error: [N] their standard errors, lx.
         samples: [N] samples of each receiver.
+        by_lamp: the parts of each lamp, whose sums are `direct` and `total`; None without the
+            option `by_lamp`.
     """
 
     areas: list[AreaFigures]
@@ -66,6 +74,7 @@ class IlluminanceResult(Result):
     total: NDArray[np.float64] = dataclasses.field(repr=False)
     total_error: NDArray[np.float64] = dataclasses.field(repr=False)
     samples: NDArray[np.int64] = dataclasses.field(repr=False)
+    by_lamp: LampIlluminance | None = dataclasses.field(repr=False)
     receivers: list[Receivers] = dataclasses.field(repr=False)
     floors: "list[FloorPlan | None]" = dataclasses.field(repr=False)
 
@@ -90,23 +99,25 @@ class IlluminanceResult(Result):
             from lumitree.measure.figures import plan_pdf, plan_png
 
             write = plan_png if kind == ".png" else plan_pdf
-            write_bytes(path, write(self._plans(), self.direct_only))
+            write_bytes(path, write(self.plans(), self.direct_only))
 
     def table(self) -> list[dict[str, Any]]:
         """A dictionary for each receiver, as the files have it."""
         names = [area.name for area in self.areas for _ in range(area.count)]
         light = (self.direct, self.direct_error, self.total, self.total_error)
-        numbers = np.column_stack([self.position, self.normal, *light]).tolist()
+        parts = {} if self.by_lamp is None else self.by_lamp.columns()
+        numbers = np.column_stack([self.position, self.normal, *light, *parts.values()]).tolist()
         return [
-            dict(zip(_COLUMNS, (name, *row), strict=True))
+            dict(zip((*_COLUMNS, *parts), (name, *row), strict=True))
             for name, row in zip(names, numbers, strict=True)
         ]
 
     def _csv(self) -> bytes:
         stream = io.StringIO(newline="")
         writer = csv.writer(stream)
-        writer.writerow(_COLUMNS)
-        for row in self.table():
+        table = self.table()
+        writer.writerow(table[0])
+        for row in table:
             name, *numbers = row.values()
             # Empty inside solids.
             texts = ("" if math.isnan(number) else f"{number:.6g}" for number in numbers)
@@ -116,14 +127,21 @@ class IlluminanceResult(Result):
     def _repr_png_(self) -> bytes:
         from lumitree.measure.figures import plan_png
 
-        return plan_png(self._plans(), self.direct_only)
+        return plan_png(self.plans(), self.direct_only)
 
-    def _plans(self) -> "list[Plan]":
+    def plans(self) -> "list[Plan]":
+        """A plan for each area, for figures."""
         from lumitree.measure.figures import Plan
 
         arrays = (self.total, self.total_error, self.direct)
         return [
-            Plan(area, receivers, *(each[area.part] for each in arrays), floor=floor)
+            Plan(
+                area,
+                receivers,
+                *(each[area.part] for each in arrays),
+                floor=floor,
+                by_lamp={} if self.by_lamp is None else self.by_lamp.lit(area),
+            )
             for area, receivers, floor in zip(self.areas, self.receivers, self.floors, strict=True)
         ]
 
@@ -140,6 +158,7 @@ def illuminance(
     error: float = 0.02,
     time: float | None = None,
     direct: bool = False,
+    by_lamp: bool = False,
     unit: float | str = "m",
     seed: int = 0,
     variant: str | None = None,
@@ -163,6 +182,9 @@ def illuminance(
             there or, if this is more, to a tenth of the mean of all points; 0.0001 to 1.
         time: after which no more light is sampled, s, 0.001 to 10⁷; default: no limit.
         direct: whether to omit reflected light.
+        by_lamp: whether to also return the part of each lamp at each point, from the same samples.
+            Then no part has a larger standard error than the total may have at the point, or at a
+            point with the mean total.
         unit: unit of length of the scene: "m", "cm", "mm", "in", "ft", or the metres in a unit. It
             counts for `Placement.lumens` and for photometric files, which state metres; the
             illuminance of all other lamps follows from radiance.
@@ -203,6 +225,7 @@ def illuminance(
         load_without_camera,
         open_placements,
         place_luminaires,
+        placed_ids,
         scene_title,
     )
 
@@ -219,7 +242,10 @@ def illuminance(
             position = np.concatenate([area.points for area in areas])
             normal = np.concatenate([area.normals for area in areas])
             _light_boxes(whole, position)
-            paths = _paths(whole, title)
+            names = layer_names(placements)
+            if by_lamp:
+                _check_parts(len(placements), len(position))
+            paths = _paths(whole, title, placed_ids(placed) if by_lamp else None)
             floors = [area.plane and floor_plan(area.plane, room, placed) for area in areas]
         with watch.stage("estimate"):
             found = estimate(
@@ -250,7 +276,8 @@ def illuminance(
         normal=normal / np.linalg.norm(normal, axis=1)[:, None],
         receivers=areas,
         floors=floors,
-        **{field.name: getattr(found, field.name) for field in dataclasses.fields(found)},
+        by_lamp=None if found.by_lamp is None else LampIlluminance(names, *found.by_lamp),
+        **{name: getattr(found, name) for name in _FOUND},
         **watch.costs(),
     )
 
@@ -277,11 +304,21 @@ def _warn_of_glass(placed: "Sequence[PlacedLuminaire]") -> None:
             )
 
 
-def _paths(scene: Any, title: str) -> "PathScene":
-    """A scene with luminaires, for paths."""
+def _check_parts(lamps: int, points: int) -> None:
+    """Refuse more parts of lamps than memory is likely to hold."""
+    if (lamps + 1) * points > _MAX_PARTS:
+        raise LumitreeError(
+            f"there are {points:,} points for {lamps:,} lamps and the room; expected at most "
+            f"{_MAX_PARTS:,} parts: use a larger spacing, or omit by_lamp"
+        )
+
+
+def _paths(scene: Any, title: str, lamps: Sequence[str] | None) -> "PathScene":
+    """A scene with luminaires, for paths; `lamps` as for `EmitterGroups`, if they are estimated."""
     from lumitree.lamp.media import any_heterogeneous, media
     from lumitree.rendering.geometry import GeometryEmitter
     from lumitree.rendering.integrator import PathScene
+    from lumitree.rendering.layers import EmitterGroups, PathSums
     from lumitree.rendering.proxies import DividedScene
 
     if any_heterogeneous(scene):
@@ -305,7 +342,8 @@ def _paths(scene: Any, title: str) -> "PathScene":
             f"{title} has emitters with the sampling_weight 0, whose light would be missing "
             f"({shown_names(unsampled)}); give them a larger one"
         )
-    return PathScene(scene, DividedScene().of(scene), media(scene))
+    layers = None if lamps is None else PathSums(EmitterGroups(scene, lamps))
+    return PathScene(scene, DividedScene().of(scene), media(scene), layers=layers)
 
 
 def _light_boxes(scene: Any, points: NDArray[np.float64]) -> None:

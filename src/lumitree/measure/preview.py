@@ -326,7 +326,7 @@ class Preview:
         """Exposure value of all images; the automatic one shows the emitters."""
         from lumitree.rendering.studio import lamp_ev
 
-        return lamp_ev(self.exposed, self.radiance)
+        return lamp_ev(self.exposed, lambda: self.radiance)
 
     @property
     def exposure(self) -> float:

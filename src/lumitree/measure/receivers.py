@@ -1,6 +1,7 @@
 """Receivers of illuminance: points with normals on planes and surfaces of a scene, or given.
 
-`AreaFigures` are the figures of the illuminance of an area of receivers.
+`AreaFigures` are the figures of the illuminance of an area of receivers, and `LampIlluminance` is
+the part of each lamp.
 """
 
 from __future__ import annotations
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
 
 # Points of a call, and of an area, at most.
 MAX_POINTS = 1 << 20
+# Lamps whose maps a plan has.
+MAX_MAPS = 24
 _MAX_FILE_BYTES, _MAX_LINE = 1 << 28, 1 << 16
 _COLUMNS = ("x", "y", "z", "nx", "ny", "nz")
 _MAX_LENGTH = 1e9
@@ -238,6 +241,51 @@ class AreaFigures:
     def part(self) -> slice:
         """Which of the receivers are on the area."""
         return slice(self.first, self.first + self.count)
+
+
+@dataclasses.dataclass(frozen=True)
+class LampIlluminance:
+    """Illuminance of N receivers by each of L lamps, lx; NaN inside solids.
+
+    All parts come from one set of samples, and the paths carry the lamp that gave the light. A
+    sample of direct light is of one lamp, which is chosen by its light, and a path of reflected
+    light may have light of each. The errors are the spread of the sums over each path: they are
+    correlated between lamps, so that the error of a sum over lamps is not their root sum of
+    squares.
+
+    Attributes:
+        names: as the layers of `render` have them; first "room", which is all light of no placed
+            lamp, and then each lamp, of arrays too.
+        direct, reflected: [L, N].
+        direct_error, reflected_error: [L, N] their standard errors.
+    """
+
+    names: list[str]
+    direct: NDArray[np.float64]
+    direct_error: NDArray[np.float64]
+    reflected: NDArray[np.float64]
+    reflected_error: NDArray[np.float64]
+
+    def means(self, area: AreaFigures) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Mean direct and reflected illuminance [L] of an area by each lamp, lx."""
+        direct, reflected = self.direct[:, area.part], self.reflected[:, area.part]
+        return np.nanmean(direct, axis=1), np.nanmean(reflected, axis=1)
+
+    def lit(self, area: AreaFigures) -> dict[str, NDArray[np.float64]]:
+        """Illuminance [N] of an area by the lamps that light it, `MAX_MAPS` at most, by name."""
+        total = (self.direct + self.reflected)[:, area.part]
+        found = [
+            (name, lux) for name, lux in zip(self.names, total, strict=True) if (lux > 0).any()
+        ]
+        return dict(found[:MAX_MAPS])
+
+    def columns(self) -> dict[str, NDArray[np.float64]]:
+        """Columns [N] of a table of receivers."""
+        return {
+            f"{name}_{part}_lx": getattr(self, part)[index]
+            for index, name in enumerate(self.names)
+            for part in ("direct", "direct_error", "reflected", "reflected_error")
+        }
 
 
 def collect(

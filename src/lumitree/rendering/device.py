@@ -14,6 +14,7 @@ from lumitree.rendering.field_rays import FieldRays
 from lumitree.rendering.geometry import Surfaces
 from lumitree.rendering.light_colour import LightSpectra, light_table
 from lumitree.rendering.light_moments import LightMoments
+from lumitree.rendering.outline import LuminousOutline
 from lumitree.rendering.sampling import BoxProxy
 from lumitree.rendering.straight_light import StraightLight
 
@@ -114,6 +115,15 @@ class DeviceAsset:
 
         return shared(self.asset, ("inside", bent), make)
 
+    @property
+    def outline(self) -> LuminousOutline | None:
+        """The luminous opening that images show in place of the light field, if it has one."""
+        asset, light = self.asset, self.asset.light_field
+        if asset.num_leaves or light is None or light.outline is None:
+            return None
+        rest = light, light.outline, asset.frame.half_extents, asset.light_factors
+        return shared(asset, "outline", lambda: LuminousOutline(*rest))
+
     def look(
         self,
         origin: mi.Point3f,
@@ -125,13 +135,16 @@ class DeviceAsset:
     ) -> tuple[mi.Color3f, mi.Float]:
         """Radiance and transmittance of the lamp in an image, as `Field.emission`.
 
-        An asset whose field is empty shows its light field, which hides nothing: `light`, if it is
-        on the device with tables. `parallel` as for `DeviceLight.eval`.
+        An asset whose field is empty shows its luminous opening or its light field, which hide
+        nothing: `light`, if it is on the device with tables. `parallel` as for `DeviceLight.eval`.
         """
         if self.asset.light_field is None or self.asset.num_leaves:
             return self.field.emission(origin, direction, active)
-        light = light or self.light
-        radiance, _ = light.eval(origin, origin, direction, active, parallel=parallel)
+        if self.outline is not None:
+            radiance = self.outline.radiance(origin, direction, active)
+        else:
+            rest = origin, origin, direction, active
+            radiance, _ = (light or self.light).eval(*rest, parallel=parallel)
         return radiance, dr.full(mi.Float, 1, dr.width(radiance))
 
     def sample_ray(

@@ -269,7 +269,7 @@ class PlacedLamp(PlacedAsset):
 
     def make_tables(self) -> None:
         """Make the tables that the methods need."""
-        _ = self.straight, mi.is_spectral and self.device.spectra
+        _ = self.straight, self.device.outline, mi.is_spectral and self.device.spectra
         if self.stored is not None:
             _ = self.stored.table
         _ = self.device.field_rays if self.light is None else self.light.table
@@ -550,22 +550,18 @@ class PlacedLamp(PlacedAsset):
         if self.tracked:
             lamp = self.moving or self
             offset = lamp._offset(it, x + target.distance * direction)
-            stored = self._eval_moved(offset, target, active & ~straight)
+            assert self.stored is not None
+            outside = active & (target.place == OUTSIDE)
+            stored = self.stored.smooth_contribution(target, offset, outside)
+            if self.lights_inside:
+                inside = active & (target.place == INSIDE)
+                stored += self._inside_light().smooth_contribution(target, offset, inside)
             return lamp.colour(lamp.factor * dr.select(straight, weight, stored), it.wavelengths)
         stored = self._eval_stored(
             x, direction, near, target, bsdf_pdf, emitter_pmf, active & ~straight
         )
         weight = dr.select(straight, weight, stored)
         return self.colour(self.factor * weight, it.wavelengths)
-
-    def _eval_moved(self, offset, target, active):
-        """Light of a sampled point by its offset from the receiver; emitter sampling has all."""
-        assert self.stored is not None
-        weight = self.stored.smooth_contribution(target, offset, active & (target.place == OUTSIDE))
-        if self.lights_inside:
-            inside = active & (target.place == INSIDE)
-            weight += self._inside_light().smooth_contribution(target, offset, inside)
-        return weight
 
     def _eval_stored(self, x, direction, near, target, bsdf_pdf, emitter_pmf, active):
         if self.stored is None:
@@ -651,7 +647,7 @@ class PlacedLamp(PlacedAsset):
             radius, sampled = self.stored.radius, emitter_pmf > 0
             left = self.tracked | sampled_only(x, _CUTOFF_RADIUS * radius, bsdf_pdf)
             gets = active & ~(sampled & left)
-            if self.asset.num_leaves:
+            if self.asset.num_leaves or self.device.outline is not None:
                 gets &= ~mi.Bool(specular_chain)
             inverse = dr.select(sampled, radius * emitter_pmf / bsdf_pdf, 0)
             rest = x, entry, direction, inverse, span[1]
@@ -721,8 +717,14 @@ class PlacedLamp(PlacedAsset):
         specular_chain: mi.Bool | bool,
         span: Span,
     ) -> tuple[mi.Color3f, mi.Float]:
-        """Radiance and transmittance of rays: images show the field, receivers get `radiance`."""
+        """Radiance and transmittance of rays.
+
+        Images show the field or the luminous opening, receivers get `radiance`.
+        """
         if not self.asset.num_leaves:
+            if (outline := self.device.outline) is not None:
+                seen = outline.radiance(entry, direction, active & specular_chain)
+                radiance = dr.select(specular_chain, seen, radiance)
             return radiance, mi.Float(1)
         seen, through = self.field.emission(entry, direction, active & specular_chain, span)
         passed = self.shadow_field.transmittance(

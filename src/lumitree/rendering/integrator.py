@@ -272,7 +272,7 @@ def _has_null_surfaces(scene: mi.Scene) -> bool:
     return False
 
 
-def _lamps_alone(params: Any) -> bool:
+def lamps_alone(params: Any) -> bool:
     """Whether no parameters but lamps' have derivatives: these enter the light of paths alone."""
     attached = (value for key, value in params.properties.items() if dr.grad_enabled(params[key]))
     return all(lamp_of(node) is not None for _, _, node, _ in attached)
@@ -337,15 +337,14 @@ def integrator_class() -> type:
             return trace_paths(paths, path, sampler, self.max_depth, self.rr_depth)
 
         def render_backward(self, scene, params, grad_in, sensor=0, seed=0, spp=0):
-            if not _lamps_alone(params):
+            if not lamps_alone(params):
                 super().render_backward(scene, params, grad_in, sensor, seed, spp)
-            else:
-                dr.backward(self._render_sums(scene, sensor, seed, spp) * grad_in)
-
-        def _render_sums(self, scene, sensor, seed, spp):
+                return
+            # In one kernel, and not in one for each vertex of the longest path.
             self._sums = True
             try:
-                return self.render(scene, sensor, seed, spp, develop=True, evaluate=False)
+                image = self.render(scene, sensor, seed, spp, develop=True, evaluate=False)
+                dr.backward(image * grad_in)
             finally:
                 self._sums = False
 

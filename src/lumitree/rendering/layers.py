@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import warnings
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -22,8 +23,9 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.device import on_device
-from lumitree.errors import LumitreeError
+from lumitree.core.device import on_device, parameter
+from lumitree.core.photometry import LUMA
+from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.rendering.photograph import Highlights
 
 # Buffers of the first surface that is not specular, as Open Image Denoise expects them.
@@ -48,6 +50,8 @@ class Recorded:
         self_emission: [groups, H, W, 3], radiance of emitters of a lamp that reaches the camera by
             surfaces and media of this lamp's geometry only, not all of them specular.
         lit: [groups, H, W, 3], their other radiance: illumination.
+        squares: [groups, H, W], mean over samples of the mean of R, G and B of `seen`, times this
+            mean of all groups; they add up to `Highlights.square`.
         albedo: [H, W, 3], diffuse reflectance of the first surface that is not specular, times the
             throughput up to it.
         normal: [H, W, 3], its shading normal in the frame of the scene.
@@ -56,6 +60,7 @@ class Recorded:
     seen: NDArray[np.float32]
     self_emission: NDArray[np.float32]
     lit: NDArray[np.float32]
+    squares: NDArray[np.float32]
     albedo: NDArray[np.float32]
     normal: NDArray[np.float32]
 
@@ -63,6 +68,11 @@ class Recorded:
     def radiance(self) -> NDArray[np.float32]:
         """All light of the groups, [groups, H, W, 3]."""
         return self.seen + self.self_emission + self.lit
+
+    @property
+    def highlights(self) -> list[Highlights]:
+        """Light of emitters that are seen, of each group."""
+        return [Highlights(*each) for each in zip(self.seen, self.squares, strict=True)]
 
 
 class Unrecorded:
@@ -115,45 +125,103 @@ class Seen(Unrecorded):
         record["seen"][0] += radiance & (active & seen)
 
     def channels(self, record: dict[str, Any]) -> list[mi.Float]:
-        return [*record["seen"][0], _square(record)]
+        return [*record["seen"][0], *_squares(record)]
 
     def highlights(self, channels: NDArray[np.float32]) -> Highlights:
         """The light of emitters that are seen, in the film's further channels [H, W, C]."""
         return Highlights(channels[..., :3], channels[..., 3])
 
 
-def _square(record: dict[str, Any]) -> mi.Float:
-    """Square of the mean of R, G and B of all light that is seen."""
-    grey = sum((dr.mean(colour) for colour in record["seen"]), mi.Float(0))
-    return dr.square(dr.minimum(grey, _MAX_RADIANCE))
+def _squares(record: dict[str, Any]) -> list[mi.Float]:
+    """As `Recorded.squares`, of paths."""
+    greys = [dr.minimum(dr.mean(colour), _MAX_RADIANCE) for colour in record["seen"]]
+    whole = dr.minimum(sum(greys, mi.Float(0)), _MAX_RADIANCE)
+    return [grey * whole for grey in greys]
+
+
+class EmitterGroups:
+    """Groups of the emitters of a scene.
+
+    Args:
+        scene: mi.Scene.
+        shapes: for each group but the first, the prefix of the ids of its shapes. All emitters in
+            no other group belong to the first one.
+
+    Attributes:
+        count: number of groups.
+        of_emitters: [E] group of each emitter, in the order of the scene.
+    """
+
+    def __init__(self, scene: mi.Scene, shapes: Sequence[str] = ()) -> None:
+        self.count = 1 + len(shapes)
+        self.of_emitters = np.zeros(len(scene.emitters()), np.uint32)
+        for index, emitter in enumerate(scene.emitters()):
+            shape = emitter.get_shape()
+            for group, start in enumerate(shapes, 1):
+                if shape is not None and shape.id().startswith(start):
+                    self.of_emitters[index] = group
+        numbers = np.array(dr.reinterpret_array(mi.UInt32, scene.emitters_dr()))
+        # By the number of an emitter among all emitters of the process.
+        group_of = np.zeros(numbers.max(initial=0) + 1, np.uint32)
+        group_of[numbers] = self.of_emitters
+        self._group_of = on_device(mi.UInt32, group_of)
+
+    def of(self, emitter: mi.EmitterPtr, active: mi.Bool) -> mi.UInt32:
+        """Groups of emitters of the scene."""
+        number = dr.reinterpret_array(mi.UInt32, emitter)
+        return dr.gather(mi.UInt32, self._group_of, number, active)
+
+
+class PathSums(Unrecorded):
+    """Light of each group that each path brings, in memory of the device: for any number of groups.
+
+    Attributes:
+        groups: of emitters.
+        sums: [groups x paths] luminance / `LUMENS_PER_WATT`; of each group, all paths in
+            succession.
+    """
+
+    def __init__(self, groups: EmitterGroups) -> None:
+        self.groups, self.sums = groups, mi.Float(0)
+
+    def clear(self, count: int) -> None:
+        """Begin with other paths, `count` of them."""
+        self.sums = dr.zeros(mi.Float, self.groups.count * count)
+        # A parameter: another number does not compile new kernels.
+        self._path, self._count = dr.arange(mi.UInt32, count), parameter(mi.UInt32, count)
+
+    def add_light(
+        self,
+        record: dict[str, Any],
+        emitter: mi.EmitterPtr,
+        radiance: mi.Spectrum,
+        seen: mi.Bool,
+        shown: mi.Bool,
+        active: mi.Bool,
+    ) -> None:
+        brought = dr.dot(radiance, mi.Color3f(LUMA))
+        found = active & (brought > 0)
+        place = self.groups.of(emitter, found) * self._count + self._path
+        # No two paths have a place in common, so the sums do not depend on the order of threads.
+        dr.scatter_add(self.sums, brought, place, found, mode=dr.ReduceMode.NoConflicts)
 
 
 class Layers(Seen):
     """Groups of emitters whose light is recorded separately, by `KINDS`.
 
     Args:
-        scene: mi.Scene.
-        shapes: for each group but the first, the prefix of the ids of its shapes. All emitters in
-            no other group belong to the first one.
+        scene, shapes: as for `EmitterGroups`.
     """
 
     def __init__(self, scene: mi.Scene, shapes: Sequence[str] = ()) -> None:
-        self.groups = 1 + len(shapes)
-        emitters = np.array(dr.reinterpret_array(mi.UInt32, scene.emitters_dr()))
-        # By the number of an emitter among all emitters of the process.
-        group_of = np.zeros(emitters.max(initial=0) + 1, np.uint32)
-        for number, emitter in zip(emitters, scene.emitters(), strict=True):
-            shape = emitter.get_shape()
-            for group, start in enumerate(shapes, 1):
-                if shape is not None and shape.id().startswith(start):
-                    group_of[number] = group
-        self._group_of = on_device(mi.UInt32, group_of)
+        self._groups = EmitterGroups(scene, shapes)
+        self.groups = self._groups.count
 
     def channel_names(self) -> list[str]:
         """Names of the film's further channels, in the order of `channels`."""
         light = [f"{kind}{g}.{c}" for kind in KINDS for g in range(self.groups) for c in "RGB"]
         buffers = [f"{buffer}.{c}" for buffer in BUFFERS for c in _CHANNELS[buffer]]
-        return [*light, *buffers, _SEEN[-1]]
+        return [*light, *buffers, *(f"seen{g}.square" for g in range(self.groups))]
 
     def start(self) -> dict[str, Any]:
         """Buffers of paths at their start."""
@@ -182,8 +250,7 @@ class Layers(Seen):
             seen: whether there are only specular surfaces between it and the camera.
             shown: whether there are only specular surfaces and its lamp's geometry between.
         """
-        number = dr.reinterpret_array(mi.UInt32, emitter)
-        group = dr.gather(mi.UInt32, self._group_of, number, active)
+        group = self._groups.of(emitter, active)
         for kind, mask in zip(KINDS, (seen, shown & ~seen, ~(seen | shown)), strict=True):
             for index in range(self.groups):
                 record[kind][index] += radiance & (active & mask & (group == index))
@@ -202,18 +269,21 @@ class Layers(Seen):
         """Values of the film's further channels."""
         colours = [each for kind in KINDS for each in record[kind]]
         colours += [record[buffer] for buffer in BUFFERS]
-        return [*(colour[i] for colour in colours for i in range(3)), _square(record)]
+        return [*(colour[i] for colour in colours for i in range(3)), *_squares(record)]
 
     def highlights(self, channels: NDArray[np.float32]) -> Highlights:
-        return Highlights(self.divide(channels).seen.sum(axis=0), channels[..., -1])
+        recorded = self.divide(channels)
+        return Highlights(recorded.seen.sum(axis=0), recorded.squares.sum(axis=0))
 
     def divide(self, channels: NDArray[np.float32]) -> Recorded:
         """Buffers in the film's further channels [H, W, C]."""
         height, width = channels.shape[:2]
-        images = channels[..., :-1].reshape(height, width, -1, 3)
+        images = channels[..., : -self.groups].reshape(height, width, -1, 3)
+        squares = np.moveaxis(channels[..., -self.groups :], -1, 0)
         light = images[:, :, : -len(BUFFERS)].transpose(2, 0, 1, 3)
         kinds = dict(zip(KINDS, np.split(light, len(KINDS)), strict=True))
-        return Recorded(**kinds, albedo=images[:, :, -2], normal=images[:, :, -1])
+        albedo, normal = images[:, :, -2], images[:, :, -1]
+        return Recorded(**kinds, squares=squares, albedo=albedo, normal=normal)
 
 
 def records_layers(integrator: mi.Integrator) -> bool:
@@ -263,10 +333,16 @@ def _filter(radiance: NDArray[np.float32], recorded: Recorded) -> NDArray[np.flo
 
 
 def denoised_pixels(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """sRGB bytes [H, W, 3] with less noise; unchanged if the package is not installed."""
+    """sRGB bytes [H, W, 3] with less noise; unchanged, with a warning, without the package."""
     try:
         filter_with = _open_image_denoise().denoise
     except LumitreeError:
+        warnings.warn(
+            "the photograph is not denoised, since the package mitsuba-oidn is not installed; "
+            "install it with `pip install 'lumitree[denoise]'`",
+            LumitreeWarning,
+            stacklevel=2,
+        )
         return pixels
     encoded = np.ascontiguousarray(pixels / 255, np.float32)
     filtered = np.array(filter_with(encoded, srgb=True), np.float32)

@@ -11,6 +11,7 @@ before pixels are averaged, as far as the mean of squares tells it, and filtered
 
 import dataclasses
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -73,6 +74,14 @@ class Highlights:
 
     seen: NDArray[np.floating]
     square: NDArray[np.floating]
+
+    def scaled(self, factors: NDArray[np.float32]) -> "Highlights":
+        """The light times factors [3] on R, G and B."""
+        seen = self.seen * factors
+        change = np.ones_like(self.square)
+        before = self.seen.mean(axis=-1)
+        np.divide(seen.mean(axis=-1), before, out=change, where=before > 0)
+        return Highlights(seen, self.square * change**2)
 
     def divide(self, most: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Light [H, W, 3] of emitters of more than `most`, W/(m² sr), and the same clamped.
@@ -154,7 +163,7 @@ class PhotoSettings:
             highlights: part of `radiance`.
         """
         metered = radiance if metered is None else metered
-        ev = exposure_value(self.exposure, automatic_ev(metered))
+        ev = exposure_value(self.exposure, lambda: automatic_ev(metered))
         white = self._white(metered, albedo)
         scaled = bloomed(_resolved(radiance, highlights, white_radiance(ev)), self.bloom)
         if white is not None:
@@ -238,11 +247,11 @@ def check_exposure(exposure: float | str) -> None:
         )
 
 
-def exposure_value(exposure: float | str, automatic: float) -> float:
-    """EV100 of an exposure, as for `render`, by the automatic EV100."""
+def exposure_value(exposure: float | str, automatic: Callable[[], float]) -> float:
+    """EV100 of an exposure, as for `render`; `automatic` computes EV100 where that is needed."""
     if isinstance(exposure, str):
         return float(exposure.partition("=")[2])
-    return automatic - exposure
+    return automatic() - exposure
 
 
 def ev_of_white(radiance: float) -> float:

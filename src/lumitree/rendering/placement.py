@@ -1,16 +1,21 @@
 """Where luminaires go in a scene, and the TOML file of placements."""
 
+import contextlib
 import dataclasses
 import itertools
+import json
 import math
 import numbers
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lumitree.asset.asset import Asset
 from lumitree.core.arguments import check_gain, check_light
+from lumitree.core.files import FilePath, write_bytes
 from lumitree.core.frames import check_placement
+from lumitree.core.results import plain
 from lumitree.core.tables import converted, read_toml
 from lumitree.errors import LumitreeError, explained, shown
 from lumitree.lamp.builtin import BUILTIN
@@ -116,6 +121,12 @@ class Placement:
             places.append((at[0], at[1], at[2]))
         return [dataclasses.replace(self, at=at, grid=None, pitch=None) for at in places]
 
+    def dimmed(self, level: float) -> "Placement":
+        """The same lamp with `level` times its light."""
+        red, green, blue = (level * each for each in check_gain(self.gain))
+        gain = red if red == green == blue else (red, green, blue)
+        return dataclasses.replace(self, gain=gain)
+
     @property
     def is_baked(self) -> bool:
         """Whether `source` is an asset once it is opened."""
@@ -183,3 +194,47 @@ def read_placements(path: str | os.PathLike[str]) -> list[Placement]:
         except LumitreeError as error:
             raise LumitreeError(f"{shown(path, 300)}: {name}: {error}") from None
     return placements
+
+
+def placements_toml(placements: Sequence[Placement], folder: FilePath) -> str:
+    """Text of a TOML file of placements, which `read_placements` reads from a folder.
+
+    Raises:
+        LumitreeError: a placement has no label, or its source is no file.
+    """
+    tables = []
+    for placement in placements:
+        source = placement.source
+        if placement.label is None or not isinstance(source, str | os.PathLike):
+            raise LumitreeError(
+                f"{placement.name} has no label, or is no file; a file of placements needs both"
+            )
+        asset = os.fspath(source)
+        if asset not in BUILTIN:
+            # Readable on other systems; Windows has no relative path to another drive.
+            with contextlib.suppress(ValueError):
+                asset = os.path.relpath(asset, folder)
+            asset = Path(asset).as_posix()
+        values: dict[str, Any] = {"asset": asset}
+        written = {field.name for field in dataclasses.fields(_Lamp)}
+        for field in dataclasses.fields(placement):
+            value = getattr(placement, field.name)
+            if field.name in written and value != field.default:
+                values[field.name] = value
+        lines = [f"{key} = {_toml(value)}" for key, value in values.items()]
+        tables.append("\n".join([f"[lamps.{_toml(placement.label)}]", *lines, ""]))
+    return "\n".join(tables)
+
+
+def write_placements(path: FilePath, placements: Sequence[Placement]) -> None:
+    """Write a TOML file of placements, as `read_placements` reads it.
+
+    Raises:
+        LumitreeError: as for `placements_toml`; or the file cannot be written.
+    """
+    write_bytes(path, placements_toml(placements, Path(path).parent).encode())
+
+
+def _toml(value: Any) -> str:
+    """A text, a number or numbers in TOML, whose texts are written as in JSON."""
+    return json.dumps(plain(value), ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -59,6 +59,7 @@ class RenderResult(SavedImage):
             decides. 0.1 is grain that is seen, 0.02 is hardly. None if there was one pass only.
         layers: by name, float32 [height, width, 3], the radiance of the light of one luminaire, or
             of the room; their sum is the image. Empty without the option `layers`.
+        layer_highlights: by name, light of emitters that the camera sees, a part of each layer.
         noisy: float32 [height, width, 3], radiance before denoising; None as `albedo`.
         albedo: float32 [height, width, 3], diffuse reflectance of the first surface that is not
             specular, times the throughput up to it; None without `layers`, `aov` and `denoise`.
@@ -75,6 +76,7 @@ class RenderResult(SavedImage):
     mean_radiance: float
     noise: float | None = None
     layers: dict[str, NDArray[np.float32]] = dataclasses.field(default_factory=dict, repr=False)
+    layer_highlights: dict[str, Highlights] = dataclasses.field(default_factory=dict, repr=False)
     noisy: NDArray[np.float32] | None = dataclasses.field(default=None, repr=False)
     albedo: NDArray[np.float32] | None = dataclasses.field(default=None, repr=False)
     normals: NDArray[np.float32] | None = dataclasses.field(default=None, repr=False)
@@ -87,7 +89,8 @@ class RenderResult(SavedImage):
 
         Args:
             path: path of the OpenEXR file, which has channels NAME.R, NAME.G and NAME.B for each
-                layer.
+                layer. NAME.seen.R and so on have the part of emitters that the camera sees, and
+                NAME.square its mean square, where there is any.
 
         Raises:
             LumitreeError: the image has no layers, the name does not end in `.exr`, or the file
@@ -96,7 +99,11 @@ class RenderResult(SavedImage):
         check_exr_name(path)
         if not self.layers:
             raise LumitreeError("the image has no layers; render it with layers=True")
-        write_exr(path, self.layers, self.settings)
+        channels = dict(self.layers)
+        for name, highlights in self.layer_highlights.items():
+            if highlights.square.any():
+                channels |= {f"{name}.seen": highlights.seen, f"{name}.square": highlights.square}
+        write_exr(path, channels, self.settings)
 
     @explained
     def save_aov(self, path: FilePath) -> None:
@@ -223,7 +230,7 @@ def render(
 
     if denoise:
         check_denoiser()
-    names, watch = _names(placements), Stopwatch()
+    names, watch = layer_names(placements), Stopwatch()
 
     def result(
         rendering: "Rendering", pixels: NDArray[np.float32], filtered: bool, **parts: Any
@@ -301,9 +308,12 @@ def _parts(
     """Parts of a `RenderResult` beside the image; with names, the layers too."""
     if recorded is None:
         return {}
-    light = recorded.radiance
+    parts: dict[str, Any] = {}
+    if names:
+        parts["layers"] = dict(zip(names, recorded.radiance, strict=True))
+        parts["layer_highlights"] = dict(zip(names, recorded.highlights, strict=True))
     return {
-        "layers": dict(zip(names, light, strict=True)) if names else {},
+        **parts,
         "noisy": noisy,
         "albedo": recorded.albedo,
         "normals": recorded.normal,
@@ -317,7 +327,7 @@ def _described(placement: Placement) -> dict[str, Any]:
     return {**given, "source": placement.name}
 
 
-def _names(placements: Sequence[Placement]) -> list[str]:
+def layer_names(placements: Sequence[Placement]) -> list[str]:
     """Names of the layers: each once, of letters, digits, "_" and "-".
 
     OpenEXR files have other channels by the names RGB and RGBA.

@@ -126,11 +126,11 @@ def portrait(
         name, studio = lamp.name, _luminaire_studio(lamp, half_width, resolution)
     elif lamp.geometry is None:
         ((radiance, opacity),) = shown_images(lamp, [pose], half_width, resolution, spp)
-        ev = lamp_ev(exposure, radiance)
+        ev = lamp_ev(exposure, lambda: radiance)
         return Photograph(_before_backdrop(radiance, opacity, 1 / white_radiance(ev)), ev, None)
     else:
         name, studio = lamp.luminaire, _asset_studio(lamp, half_width, resolution)
-    ev = lamp_ev(exposure, studio.own(pose, max(1, spp // _METERING), name))
+    ev = lamp_ev(exposure, lambda: studio.own(pose, max(1, spp // _METERING), name))
 
     def seen(pixels: NDArray[np.uint8]) -> None:
         if so_far is not None:
@@ -140,13 +140,13 @@ def portrait(
     return Photograph(denoised_pixels(pixels), ev, None)
 
 
-def lamp_ev(exposure: float | str, radiance: NDArray[np.floating]) -> float:
+def lamp_ev(exposure: float | str, own: Callable[[], NDArray[np.floating]]) -> float:
     """EV100 of an exposure, as for `lumitree.preview`; the automatic one shows emitters well.
 
     Args:
-        radiance: of the lamp's own light, W/(m² sr).
+        own: returns the radiance of the lamp's own light, W/(m² sr).
     """
-    return exposure_value(exposure, ev_of_white(1 / auto_exposure(radiance)))
+    return exposure_value(exposure, lambda: ev_of_white(1 / auto_exposure(own())))
 
 
 def portrait_half_width(lamp: Asset | Luminaire) -> float:

@@ -19,12 +19,15 @@ from lumitree.asset.asset import Asset
 from lumitree.asset.light_field import LightField, unpack
 from lumitree.core.harmonics import MAX_L, Y_00, basis_array
 from lumitree.core.octahedral import middle_directions, solid_angles
-from lumitree.octree.build import build_children, grid_boxes_inside
+from lumitree.octree.build import boxes_inside, build_children, grid_boxes_inside
 
 # Density of all leaves, per local unit. The longest ray, of 2 √3, loses 5 % of what is behind it.
 DENSITY = 2.0**-6
 # L_max is this factor above the largest emission, which the sigmoid then does not limit.
 _HEADROOM = 2.0
+# Depth of the grid that shows a round opening, and its cells, at most.
+_FINEST, _MAX_CELLS = 7, 1 << 15
+_OCTANTS = np.indices((2, 2, 2)).reshape(3, -1).T
 # Bins a side that the harmonics are fitted to; they are smoother than more bins.
 _RESOLUTION = 16
 # Rows that are fitted at once, and steps of the fit.
@@ -46,10 +49,15 @@ def light_as_field(asset: Asset) -> Asset:
     """
     light = asset.light_field
     assert light is not None
-    cells, levels = light.cells.astype(np.int64), np.full(len(light.cells), light.depth)
-    lower, upper = grid_boxes_inside(asset.frame.half_extents, cells, light.depth)
-    volume = (upper - lower).prod(axis=1)
-    emission = _by_bin(light) / (volume * DENSITY)[:, None, None]
+    cells, depth = light.cells.astype(np.int64), light.depth
+    emission, rows_of = _by_bin(light), np.arange(len(cells))
+    volume = _volumes(asset, cells, depth)
+    if light.outline not in (None, "box"):
+        # Cells within the luminous opening, which share all light.
+        cells, depth = _opening_cells(asset, light)
+        emission, rows_of = emission.sum(axis=0, keepdims=True), np.zeros(len(cells), np.int64)
+        volume = _volumes(asset, cells, depth).sum(keepdims=True)
+    emission = emission / (volume * DENSITY)[:, None, None]
     max_radiance = _HEADROOM * float(emission.max())
     directions, solid_angle = middle_directions(_RESOLUTION), solid_angles(_RESOLUTION)
     # The squared error of the radiance of all rays: of intensity over projected area.
@@ -60,17 +68,39 @@ def light_as_field(asset: Asset) -> Asset:
     for first in range(0, len(rows), _AT_ONCE):
         part = rows[first : first + _AT_ONCE]
         fitted.append(fit.with_flux(fit.coefficients(part), part @ solid_angle, solid_angle))
-    coefficients = np.concatenate(fitted).reshape(len(cells), 3, -1).astype(np.float16)
+    coefficients = np.concatenate(fitted).reshape(len(emission), 3, -1).astype(np.float16)
     return dataclasses.replace(
         asset,
-        children=build_children(cells, levels),
+        children=build_children(cells, np.full(len(cells), depth)),
         density=np.full(len(cells), DENSITY, np.float32),
-        coefficients=coefficients,
-        tree_depth=light.depth,
+        coefficients=coefficients[rows_of],
+        tree_depth=depth,
         l_max=MAX_L,
         law="linear",
         max_radiance=max_radiance,
     )
+
+
+def _volumes(asset: Asset, cells: NDArray[np.int64], depth: int) -> NDArray[np.float64]:
+    lower, upper = grid_boxes_inside(asset.frame.half_extents, cells, depth)
+    return (upper - lower).prod(axis=1)
+
+
+def _opening_cells(asset: Asset, light: LightField) -> tuple[NDArray[np.int64], int]:
+    """Cells [C, 3] of a fine grid whose middles are in a round opening, and the grid's depth."""
+    half, axis = asset.frame.half_extents, "xyz".find(str(light.outline)[-1])
+    across = [each for each in range(3) if each != axis]
+    found, grid, depth = light.cells.astype(np.int64), light.cells.astype(np.int64), light.depth
+    while depth < _FINEST:
+        grid = (2 * grid[:, None] + _OCTANTS).reshape(-1, 3)
+        lower, upper = boxes_inside(half, grid, np.full(len(grid), depth + 1))
+        filled = (upper > lower).all(axis=1)
+        grid, middle = grid[filled], (lower + upper)[filled] / 2
+        finer = grid[np.square(middle / half)[:, across].sum(axis=1) <= 1]
+        if len(finer) > _MAX_CELLS:
+            break
+        found, depth = finer, depth + 1
+    return found, depth
 
 
 def brightest_view(asset: Asset) -> tuple[float, float]:

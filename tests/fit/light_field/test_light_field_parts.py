@@ -235,6 +235,7 @@ def test_a_command_bakes_one_part(capsys):
         assert f'"light_field_cells": {asset.info.light_field_cells}' in file.read()
 
 
+@pytest.mark.slow
 def test_datasets_have_a_field_only(untraced, capsys):
     lumitree.capture("lamp.xml", "views", views=6, resolution=24, spp=4)
     baked = lumitree.bake("views", "lamp.lumitree", parts=["field"])
@@ -247,7 +248,7 @@ def test_datasets_have_a_field_only(untraced, capsys):
         assert "is a dataset, from which only the part field" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("parts", [("light",), ("field",), ("light", "field")])
+@pytest.mark.parametrize("parts", [("light",), slow(("field",)), slow(("light", "field"))])
 def test_a_bake_states_the_error_of_its_irradiance(parts):
     """By the same function as `evaluate`, with the same light paths and random numbers.
 

@@ -129,6 +129,7 @@ def test_query_does_not_depend_on_its_chunks(tiny_run):
     assert field.query(np.zeros((0, 3)))[0].shape == (0,)
 
 
+@pytest.mark.slow
 def test_an_unfinished_run_is_extracted_with_a_warning(dataset, tmp_path):
     train(dataset, tmp_path / "run", TINY, stop_after=2)
     with (

@@ -10,6 +10,7 @@ from lumitree.core.device import on_device
 from support import reference_field as reference
 from support.field_rays import NUM_RAYS, rays_on_device, targeted_rays
 from support.fields import leaf_field, make_asset, random_asset
+from support.slow import slow
 
 
 def by_depth(field, through, d_through):
@@ -83,7 +84,7 @@ class ReferenceField:
 
 
 @pytest.mark.parametrize("law", ["linear", "exponential"])
-@pytest.mark.parametrize("l_max", [0, 1, 2])
+@pytest.mark.parametrize("l_max", [slow(0), 1, slow(2)])
 def test_adjoint_is_the_derivative(mi, law, l_max, monkeypatch):
     from lumitree.fit.octree.leaf_field import depth_gradient
 

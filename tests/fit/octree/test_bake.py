@@ -113,6 +113,7 @@ def interrupt_after(monkeypatch, steps):
     return done
 
 
+@pytest.mark.slow
 def test_interrupted_bake_continues(ball, tmp_path, monkeypatch):
     from lumitree.fit.octree.bake import bake
 

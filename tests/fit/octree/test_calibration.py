@@ -5,6 +5,7 @@ import pytest
 
 from lumitree.fit.octree.config import CalibrationConfig, FluxConfig
 from support.field_rays import FieldRays, random_rays, truth_and_start
+from support.slow import slow
 from support.traced_lamps import stream
 
 # A million rays: the noise of the factor is 0.2 %.
@@ -40,8 +41,8 @@ def mean_log_ratio(field, truth, chosen, weight):
     return np.average(ratio[chosen], weights=weight[chosen])
 
 
-@pytest.mark.parametrize("split", [False, True])
-@pytest.mark.parametrize(("law", "l_max"), [("linear", 1), ("exponential", 1), ("linear", 0)])
+@pytest.mark.parametrize("split", [False, slow(True)])
+@pytest.mark.parametrize(("law", "l_max"), [("linear", 1), slow("exponential", 1), ("linear", 0)])
 def test_a_region_that_is_too_bright_is_found(mi, law, l_max, split):
     """Half of the space gives twice the light, the other half too little."""
     from lumitree.fit.octree.calibration import calibrate
@@ -56,7 +57,7 @@ def test_a_region_that_is_too_bright_is_found(mi, law, l_max, split):
     assert mean_log_ratio(field, truth, ~right, weight) == pytest.approx(0, abs=0.1)
 
 
-@pytest.mark.parametrize("split", [False, True])
+@pytest.mark.parametrize("split", [False, slow(True)])
 def test_a_field_far_too_dark_gets_there(mi, split):
     """The prior depends on the light of the luminaire, not on the light of the dark field."""
     from lumitree.fit.octree.calibration import calibrate
@@ -68,7 +69,7 @@ def test_a_field_far_too_dark_gets_there(mi, split):
     assert left == pytest.approx(0, abs=0.15)
 
 
-@pytest.mark.parametrize("law", ["linear", "exponential"])
+@pytest.mark.parametrize("law", ["linear", slow("exponential")])
 def test_light_towards_the_wrong_side_is_found(mi, law):
     """The field has the flux of the truth, but is brighter upwards."""
     from lumitree.fit.octree.calibration import calibrate
@@ -127,7 +128,7 @@ def test_calibration_of_a_correct_field_adds_little_noise(mi):
     assert 0 < spread < 0.03
 
 
-@pytest.mark.parametrize("split", [False, True])
+@pytest.mark.parametrize("split", [False, slow(True)])
 def test_flux_correction_factor_is_what_l_max_lacks(mi, split):
     """The factor is measured on the true field, with an L_max that is too small."""
     from lumitree.fit.octree.calibration import flux_correction

@@ -85,7 +85,8 @@ def opaque_sphere(lamp):
     return source(lamp(sphere("lamp", 2, (1, 0, 0), AREA)))
 
 
-@pytest.mark.parametrize("l_max", [pytest.param(0, marks=pytest.mark.slow), 2])
+@pytest.mark.slow
+@pytest.mark.parametrize("l_max", [0, 2])
 def test_emission_of_an_opaque_surface_is_its_radiance(lamp, l_max):
     """On the outside. The leaves of the interior, which no ray enters, are kept and opaque."""
     from lumitree.core.harmonics import basis_array

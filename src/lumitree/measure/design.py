@@ -1,0 +1,348 @@
+"""From lux to lamps: dim levels and places of lamps for the illuminance that planes need."""
+
+import dataclasses
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lumitree.core.arguments import check_count, check_items, check_range, metres_of
+from lumitree.core.backend import in_turn, load_rgb
+from lumitree.core.files import FilePath, check_writable, write_bytes, write_json
+from lumitree.core.photometry import luminance
+from lumitree.core.progress import ProgressCallback, show_progress
+from lumitree.core.results import Result, Stopwatch
+from lumitree.core.seeds import MAX_SEED, Purpose, SeedStream, check_seed
+from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown, shown_names
+from lumitree.lamp.parts import matching
+from lumitree.measure.dimming import Dimmers, TaskPlane, dim_levels, equal_level, tasks_of
+from lumitree.measure.illuminance import IlluminanceResult, illuminance
+from lumitree.measure.receivers import AreaFigures
+from lumitree.rendering.placement import Placement, write_placements
+
+if TYPE_CHECKING:
+    from lumitree.measure.figures import Plan
+
+OUTPUTS = (".toml", ".json", ".png", ".pdf")
+_MAX_STEPS = 1000
+# Range of `brightest`: a lamp is dimmed, or replaced by a brighter one.
+_BRIGHTEST = 1e-3, 1e3
+
+
+@dataclasses.dataclass(frozen=True)
+class DesignedLamp:
+    """A lamp of a design.
+
+    Attributes:
+        label: its name.
+        level: dim level; 1 is its light as it was placed.
+        lumens: luminous flux at this level, lm.
+        placement: where it is, with its light at this level.
+    """
+
+    label: str
+    level: float
+    lumens: float
+    placement: Placement = dataclasses.field(repr=False)
+
+
+@dataclasses.dataclass(frozen=True)
+class DesignedArea:
+    """The illuminance of a plane of a design.
+
+    Attributes:
+        plane: what it has to have.
+        before: with all lamps as they were placed.
+        predicted: at the dim levels, as the sum of the lamps.
+        simulated: in a full simulation of the result, with other random numbers.
+    """
+
+    plane: TaskPlane
+    before: AreaFigures
+    predicted: AreaFigures
+    simulated: AreaFigures
+
+
+@dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
+class DesignResult(Result):
+    """Result of `design`.
+
+    Attributes:
+        lamps: every lamp, in the order of the placements; an array is one lamp for each place.
+        areas: the planes.
+        unit: of the costs, "lm" or "W".
+        cost: luminous flux, or power, of all lamps.
+        cost_before: with all lamps as they were placed.
+        cost_of_equal_levels: with one dim level for all lamps, at which the smallest illuminance of
+            each plane is at least as large; it is above `cost_before` where no dimming reaches it.
+        before, after: illuminance as the lamps were placed, and of the result.
+    """
+
+    lamps: list[DesignedLamp]
+    areas: list[DesignedArea]
+    unit: str
+    cost: float
+    cost_before: float
+    cost_of_equal_levels: float
+    before: IlluminanceResult = dataclasses.field(repr=False)
+    after: IlluminanceResult = dataclasses.field(repr=False)
+
+    @property
+    def placements(self) -> list[Placement]:
+        """The lamps of the result, for `render` and `illuminance`."""
+        return [lamp.placement for lamp in self.lamps]
+
+    @explained
+    def save(self, path: FilePath) -> None:
+        """Write the design.
+
+        Args:
+            path: path of the file. The suffix decides: `.toml` (placements, as `read_placements`
+                reads them), `.json` (figures), `.png` or `.pdf` (plans before and after).
+
+        Raises:
+            LumitreeError: the name has another ending, or the file cannot be written.
+        """
+        check_design_output(path)
+        kind = Path(path).suffix.lower()
+        if kind == ".toml":
+            write_placements(path, self.placements)
+        elif kind == ".json":
+            write_json(path, self.to_json())
+        else:
+            from lumitree.measure.figures import plan_pdf, plan_png
+
+            plans = self._plans()
+            png = kind == ".png"
+            write_bytes(path, plan_png(plans, False, 2) if png else plan_pdf(plans, False))
+
+    def _repr_png_(self) -> bytes:
+        from lumitree.measure.figures import plan_png
+
+        return plan_png(self._plans(), False, 2)
+
+    def _plans(self) -> "list[Plan]":
+        """Plans before and after, in turns, both with the colours of one scale."""
+        found = []
+        for pair in zip(self.before.plans(), self.after.plans(), strict=True):
+            largest = max(plan.area.largest for plan in pair)
+            for plan, when in zip(pair, ("before", "after"), strict=True):
+                area = dataclasses.replace(plan.area, name=f"{plan.area.name}, {when}")
+                found.append(dataclasses.replace(plan, area=area, largest=largest, by_lamp={}))
+        return found
+
+
+@in_turn
+def design(
+    scene: "FilePath | Mapping[str, Any] | Any",
+    placements: Sequence[Placement],
+    *,
+    planes: Sequence[TaskPlane],
+    group: Sequence[str] = (),
+    move: Mapping[str, str] | None = None,
+    turn: Sequence[str] = (),
+    free: Sequence[str] = (),
+    region: tuple[float, float, float, float, float, float] | None = None,
+    watts: Mapping[str, float] | None = None,
+    brightest: float = 1.0,
+    steps: int | None = None,
+    margin: float = 2.0,
+    error: float = 0.02,
+    time: float | None = None,
+    unit: float | str = "m",
+    seed: int = 0,
+    variant: str | None = None,
+    progress: ProgressCallback | None = show_progress,
+) -> DesignResult:
+    """Dim, move and turn lamps so that planes have the illuminance they need, at the least flux.
+
+    The illuminance of each point is the sum over all lamps of dim level times illuminance at full
+    light, with all reflections, so the best levels are a linear program. Lamps that may move follow
+    the derivatives of their direct light, to a local optimum; shadows and reflections are estimated
+    again after some steps. The result is simulated again in full. Lights of the scene count
+    as they are.
+
+    Args:
+        scene: as for `illuminance`.
+        placements: the lamps, as for `illuminance`. Their light as they are placed is dim level 1.
+            Each lamp of an array is dimmed by itself.
+        planes: the planes, and what each of them needs.
+        group: patterns of labels, with * and ?; all lamps that a pattern matches have one level.
+        move: axes of the scene that lamps may move along, such as "xz", by patterns of labels.
+        turn: patterns of labels of lamps that may turn about their centres.
+        free: patterns of labels of lamps that may move along all axes, and turn.
+        region: smallest x, y, z and largest x, y, z of the boxes of lamps that move, scene units;
+            default: the bounding box of the scene. Furniture in it is not avoided.
+        watts: electric power at dim level 1, W, by patterns of labels. The power is then minimised,
+            and not the luminous flux; it is proportional to the level.
+        brightest: largest dim level, 0.001 to 1,000.
+        steps: number of equal steps up to it, 1 to 1,000, where lamps have no other levels; 1 is
+            on or off.
+        margin: standard errors by which each point keeps away from its limits, 0 to 10. Without,
+            the least illuminance is too small by about the error of the points that have it.
+        error: standard error of the illuminance of each point, as for `illuminance`.
+        time: limit of each simulation, s, as for `illuminance`.
+        unit: unit of length of the scene, as for `illuminance`.
+        seed: root seed of all random numbers, 0 to 2³¹ - 1.
+        variant: Mitsuba variant; see `bake`.
+        progress: function that is called with a `Progress` after each pass; see `bake`.
+
+    Returns:
+        Dim levels, and the illuminance before, predicted, and simulated.
+
+    Raises:
+        LumitreeError: an argument is out of range; a scene or lamp cannot be read; a lamp is
+            explicit; or the lamps cannot give what the planes need. Then the message states which
+            plane gets how much.
+
+    Example:
+        >>> lamps = lumitree.read_placements("lights.toml")
+        >>> work = lumitree.TaskPlane((0, 0.75, 0), extent=(4, 3), target=500, uniformity=0.6)
+        >>> result = lumitree.design("office.xml", lamps, planes=[work])
+        >>> result.save("dimmed.toml")
+    """
+    for name, values, kind in (
+        ("placements", placements, Placement),
+        ("planes", planes, TaskPlane),
+    ):
+        check_items(name, values, kind)
+    check_range("brightest", brightest, *_BRIGHTEST)
+    if steps is not None:
+        check_count("steps", steps, 1, _MAX_STEPS)
+    check_range("margin", margin, 0, 10)
+    check_seed(seed)
+    if not any(plane.target or plane.minimum for plane in planes):
+        raise LumitreeError("no plane has a target; give one its target or its minimum, in lux")
+    lamps = labelled(placements)
+    labels = [str(lamp.label) for lamp in lamps]
+    if not lamps or not all(lamp.is_baked for lamp in lamps):
+        raise LumitreeError(
+            "there are no lamps, or explicit ones, which cannot be dimmed; place baked lamps or "
+            "photometric files"
+        )
+    groups = np.unique(_groups(labels, group), return_inverse=True)[1]
+    axes = _axes(labels, move or {}, turn, free)
+    load_rgb(variant)
+    from lumitree.measure.aiming import Aim
+    from lumitree.rendering.scene import load_without_camera, open_placements
+
+    metres = metres_of(unit)
+    options: dict[str, Any] = {"planes": planes, "error": error, "time": time, "unit": unit}
+    options |= {"variant": variant, "progress": progress}
+    watch = Stopwatch()
+    with watch.stage("lamps"):
+        room, _ = load_without_camera(scene)
+        opened = open_placements(lamps, metres)
+        lumens = np.array([float(luminance(each.watts)) for each in opened])
+        cost = lumens if watts is None else _powers(watts, labels)
+        dimmers = Dimmers(groups, cost, brightest, steps)
+        found = before = illuminance(room, lamps, **options, by_lamp=True, seed=seed)
+    if axes.any():
+
+        def simulate(moved: Sequence[Placement], number: int) -> IlluminanceResult:
+            root = SeedStream(Purpose.DESIGN, number).seed(seed) & MAX_SEED
+            with warnings.catch_warnings():
+                # The last simulation warns of what is left.
+                warnings.simplefilter("ignore", LumitreeWarning)
+                return illuminance(room, moved, **options, by_lamp=True, seed=root)
+
+        with watch.stage("places"):
+            sides = (room.bbox().min, room.bbox().max) if region is None else region
+            box = np.array(sides, np.float64).reshape(2, 3)
+            lamps, found = Aim(planes, opened, axes, box, dimmers, simulate, seed).search(before)
+    with watch.stage("levels"):
+        tasks = tasks_of(planes, found)
+        levels = np.round(dim_levels(tasks, dimmers, margin), 4)
+    with watch.stage("simulation"):
+        placed = [lamp.dimmed(level) for lamp, level in zip(lamps, levels.tolist(), strict=True)]
+        again = SeedStream(Purpose.DESIGN, draw=1).seed(seed) & MAX_SEED
+        after = illuminance(room, placed, **options, seed=again)
+    areas = [
+        DesignedArea(task.plane, old, task.figures(old, levels), new)
+        for task, old, new in zip(tasks, before.areas, after.areas, strict=True)
+    ]
+    return DesignResult(
+        lamps=[
+            DesignedLamp(*each)
+            for each in zip(
+                labels, levels.tolist(), (lumens * levels).tolist(), placed, strict=True
+            )
+        ],
+        areas=areas,
+        unit="lm" if watts is None else "W",
+        cost=float(cost @ levels),
+        cost_before=float(cost.sum()),
+        cost_of_equal_levels=float(cost.sum()) * equal_level(tasks, levels),
+        before=before,
+        after=after,
+        **watch.costs(),
+    )
+
+
+def check_design_output(path: FilePath) -> None:
+    """Refuse a file that `DesignResult.save` cannot write."""
+    if Path(path).suffix.lower() not in OUTPUTS:
+        name = shown(repr(str(path)), 300)
+        raise LumitreeError(f"output {name} does not end in one of {', '.join(OUTPUTS)}")
+    check_writable(path)
+
+
+def labelled(placements: Sequence[Placement]) -> list[Placement]:
+    """All lamps of placements, each with a label of its own."""
+    found: dict[str, Placement] = {}
+    for placement in placements:
+        lamps, start = placement.each(), placement.label or Path(placement.name).stem
+        for number, lamp in enumerate(lamps, 1):
+            label = start if len(lamps) == 1 else f"{start} {number}"
+            again = 1
+            while label in found:
+                again += 1
+                label = f"{start} {again}"
+            found[label] = dataclasses.replace(lamp, label=label)
+    return list(found.values())
+
+
+def _matches(option: str, pattern: str, labels: Sequence[str]) -> NDArray[np.bool_]:
+    names = [[label] for label in labels]
+    return np.array(matching(pattern, option, names, "the placements", "lamp"))
+
+
+def _groups(labels: Sequence[str], patterns: Sequence[str]) -> NDArray[np.int64]:
+    """[L] a number for each lamp, equal for the lamps of a group."""
+    groups = np.arange(len(labels))
+    for pattern in patterns:
+        joined = np.unique(groups[_matches("group", pattern, labels)])
+        groups[np.isin(groups, joined)] = joined[0]
+    return groups
+
+
+def _powers(watts: Mapping[str, float], labels: Sequence[str]) -> NDArray[np.float64]:
+    """[L] electric power of each lamp, W."""
+    found = np.full(len(labels), np.nan)
+    for pattern, value in watts.items():
+        check_range("watts", value, 1e-6, 1e9, "W")
+        found[_matches("watts", pattern, labels)] = value
+    if np.isnan(found).any():
+        missing = [label for label, value in zip(labels, found, strict=True) if np.isnan(value)]
+        raise LumitreeError(f"watts are not given for {shown_names(missing)}; give all or none")
+    return found
+
+
+def _axes(
+    labels: Sequence[str], move: Mapping[str, str], turn: Sequence[str], free: Sequence[str]
+) -> NDArray[np.bool_]:
+    """[L, 6] whether each lamp may move along, and turn about, x, y and z of the scene."""
+    found = np.zeros((len(labels), 6), bool)
+    for pattern, names in move.items():
+        if not names or set(names) - set("xyz"):
+            raise LumitreeError(f"move has {shown(repr(names), 40)}; expected axes such as 'xz'")
+        for axis in map("xyz".index, names):
+            found[_matches("move", pattern, labels), axis] = True
+    for pattern in turn:
+        found[_matches("turn", pattern, labels), 3:] = True
+    for pattern in free:
+        found[_matches("free", pattern, labels)] = True
+    return found

@@ -1,0 +1,174 @@
+"""Designs: against closed forms and searches, and the derivatives of direct light."""
+
+import dataclasses
+import functools
+import itertools
+import json
+
+import numpy as np
+import pytest
+
+import lumitree
+from lumitree.asset.asset import light_field_asset
+from lumitree.asset.light_field import make_light_field
+from lumitree.core.frames import LocalFrame
+from lumitree.errors import LumitreeError
+from support.slow import slow
+
+# A scene without lamps; something black and far away makes it one.
+SPECK = {"type": "sphere", "radius": 0.01, "center": [0, -50, 0]}
+SPECK["bsdf"] = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0}}
+ROOM = {"type": "scene", "speck": SPECK}
+
+
+@functools.cache
+def even_asset(folder):
+    """A file of a lamp of one cell, even in all directions."""
+    field = make_light_field(np.zeros((1, 3), int), np.ones((1, 64, 3)), 2)
+    path = folder / "even.lumitree"
+    lumitree.save(light_field_asset(field, LocalFrame(np.ones(3), np.eye(4)), "even"), path)
+    return str(path)
+
+
+@pytest.fixture(scope="module")
+def even(tmp_path_factory):
+    return even_asset(tmp_path_factory.mktemp("design"))
+
+
+def lamp(source, x, z, lumens=4000.0, label=None):
+    return lumitree.Placement(source, (x, 2, z), 0.02, lumens=lumens, label=label)
+
+
+def lux(points, lumens, x, z):
+    """Illuminance of points [N, 3] that face up, by an even point source at a height of 2."""
+    offset = np.array([x, 2, z]) - points
+    return lumens / (4 * np.pi) * offset[:, 1] / np.linalg.norm(offset, axis=1) ** 3
+
+
+def test_two_lamps_are_dimmed_as_a_search_finds_it(mi, even, tmp_path):
+    plane = lumitree.TaskPlane(
+        (0, 0, 0), extent=(3, 2), spacing=0.5, target=60, uniformity=0.5, name="floor"
+    )
+    lamps = [lamp(even, -1, 0), lamp(even, 1.5, 0.5, lumens=3000)]
+    result = lumitree.design(ROOM, lamps, planes=[plane], margin=0)
+    assert [each.label for each in result.lamps] == ["even", "even 2"]
+    points, _ = plane.points()
+    each = np.stack([lux(points, 4000, -1, 0), lux(points, 3000, 1.5, 0.5)])
+
+    def enough(levels):
+        found = levels @ each
+        return found.mean() >= 60 and found.min() >= 0.5 * found.mean()
+
+    grid = np.array(list(itertools.product(np.linspace(0, 1, 201), repeat=2)))
+    cheapest = min(levels @ [4000, 3000] for levels in grid if enough(levels))
+    assert result.cost == pytest.approx(cheapest, rel=0.01)
+    assert result.cost_before == pytest.approx(7000, rel=1e-4)
+    (area,) = result.areas
+    for found in (area.predicted, area.simulated):
+        assert found.mean == pytest.approx(60, rel=2e-3)
+        assert found.uniformity >= 0.5 - 2e-3
+    _check_files(result, tmp_path)
+
+
+def _check_files(result, folder):
+    for suffix in (".toml", ".json", ".png", ".pdf"):
+        result.save(folder / f"design{suffix}")
+    placements = lumitree.read_placements(folder / "design.toml")
+    assert [each.gain for each in placements] == [each.level for each in result.lamps]
+    assert [each.at for each in placements] == [each.placement.at for each in result.lamps]
+    report = json.loads((folder / "design.json").read_text())
+    assert report["cost"] == result.cost
+    assert report["areas"][0]["simulated"]["count"] == result.areas[0].simulated.count
+    with pytest.raises(LumitreeError, match="does not end in"):
+        result.save(folder / "design.txt")
+
+
+def test_a_lamp_moves_to_the_middle_of_its_plane(mi, even):
+    plane = lumitree.TaskPlane((0.2, 0, -0.3), extent=(1, 1), spacing=0.25, minimum=50)
+    result = lumitree.design(
+        ROOM, [lamp(even, 0.9, 0.5, label="one"), lamp(even, 5, 5, 1e-3, label="other")],
+        planes=[plane], move={"one": "xz"}, region=(-3, 1, -3, 3, 3, 3),
+    )  # fmt: skip
+    (x, y, z), other = result.lamps[0].placement.at, result.lamps[1].placement
+    assert (x, z) == pytest.approx((0.2, -0.3), abs=0.04)
+    assert (y, other.at) == (2, (5, 2, 5))
+    assert result.areas[0].simulated.smallest == pytest.approx(50, rel=0.02)
+    assert result.cost < 0.8 * result.cost_before
+
+
+def uneven():
+    """A lamp whose cells have different light, so that a turn counts."""
+    cells = np.array([[0, 0, 0], [1, 1, 0], [1, 0, 1]])
+    field = make_light_field(cells, np.array([1.0, 3, 6])[:, None, None] * np.ones((3, 64, 3)), 1)
+    return light_field_asset(field, LocalFrame(np.array([1.0, 0.5, 0.8]), np.eye(4)), "uneven")
+
+
+@pytest.mark.parametrize("axis", range(6))
+def test_slopes_are_central_differences(mi, axis):
+    from scipy.spatial.transform import Rotation
+
+    from lumitree.measure.aiming import lamp_alone
+    from lumitree.measure.direct_light import direct_lux, moved, slope
+    from lumitree.rendering.scene import open_placements
+
+    place = lumitree.Placement(uneven(), at=(0.3, 1.5, 0.1), size=0.8, rotate=(1, 2, 0, 25))
+    light = lamp_alone(*open_placements([place]))
+    points = np.array([[0, 0, 0], [1, 0, 0.5], [-0.6, 0.2, 0.9]])
+    normals = np.array([[0, 1, 0], [0, 1, 0], [0.3, 1, -0.2]])
+    start = np.array(place.at), np.eye(3)
+
+    def at(step):
+        every = np.zeros(6)
+        every[axis] = step
+        centre, turn = start[0] + every[:3], Rotation.from_rotvec(every[3:]).as_matrix()
+        return np.array(direct_lux(moved(light, centre, turn), points, normals, 16, 5), np.float64)
+
+    expected = (at(0.01) - at(-0.01)) / 0.02
+    found = slope(light, *start, axis, points, normals, 16, 5)
+    assert np.abs(expected).max() > 1e-3 * at(0).max()
+    assert found == pytest.approx(expected, rel=0.01, abs=2e-3 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"planes": [lumitree.Plane((0, 0, 0))]}, "planes has .*expected a list"),
+        ({"planes": [lumitree.TaskPlane((0, 0, 0))]}, "no plane has a target"),
+        ({"steps": 0}, "steps is 0"),
+        ({"margin": -1}, "margin is -1"),
+        ({"group": ["desk*"]}, "group 'desk.' matches no lamp"),
+        ({"move": {"even": "up"}}, "move has 'up'"),
+        ({"watts": {"other": 3}}, "watts 'other' matches no lamp"),
+        ({"placements": []}, "there are no lamps"),
+    ],
+)
+def test_wrong_arguments_are_refused(mi, even, options, message):
+    plane = lumitree.TaskPlane((0, 0, 0), target=100)
+    given = {"placements": [lamp(even, 0, 0)], "planes": [plane]} | options
+    with pytest.raises(LumitreeError, match=message):
+        lumitree.design(ROOM, given.pop("placements"), **given)
+
+
+@slow
+def test_the_command_writes_placements_that_have_what_it_prints(mi, even, tmp_path, capsys):
+    from lumitree.cli import main
+
+    text = f"[lamps.row]\nasset = '{even}'\nat = [0, 2.3, 0]\nsize = 0.1\nlumens = 3000\n"
+    (tmp_path / "lights.toml").write_text(f"{text}grid = [3, 2]\npitch = [1.2, 1.4]\n")
+    out = tmp_path / "dimmed.toml"
+    command = (
+        f"design examples/office.xml --placements {tmp_path / 'lights.toml'} --plane 0,0.75,0 "
+        f"--extent 3,2 --target 250 --uniformity 0.5 --steps 20 --group row?[14] -o {out}"
+    ).split()
+    assert main([*command, "--json", str(tmp_path / "found.json")]) == 0
+    assert "predicted" in capsys.readouterr().out
+    lamps = lumitree.read_placements(out)
+    assert lamps[0].gain == lamps[3].gain
+    assert all(20 * each.gain == pytest.approx(round(20 * each.gain)) for each in lamps)
+    report = json.loads((tmp_path / "found.json").read_text())
+    assert report["areas"][0]["simulated"]["mean"] >= 245
+    plane = lumitree.Plane((0, 0.75, 0), extent=(3, 2))
+    again = lumitree.illuminance("examples/office.xml", lamps, planes=[plane], seed=7)
+    predicted = report["areas"][0]["predicted"]
+    assert again.areas[0].mean == pytest.approx(predicted["mean"], rel=0.02)
+    assert dataclasses.asdict(again.areas[0])["uniformity"] >= 0.47
