@@ -65,6 +65,9 @@ def hidden_mesh_class() -> type:
                 if (part := getattr(self, name)()) is not None:
                     callback.put(name, part, mi.ParamFlags.Differentiable)
 
+        def to_string(self) -> str:
+            return f"HiddenMesh[{self.id()}]"
+
     return HiddenMesh
 
 

@@ -272,6 +272,8 @@ class PlacedLamp(PlacedAsset):
         _ = self.straight, self.device.outline, mi.is_spectral and self.device.spectra
         if self.stored is not None:
             _ = self.stored.table
+        if self.tracked:
+            _ = self.device.moments, self.lights_inside and self._inside_light()
         _ = self.device.field_rays if self.light is None else self.light.table
 
     def set_gain(self) -> None:
@@ -299,6 +301,7 @@ class PlacedLamp(PlacedAsset):
                     "to_world has derivatives, and the asset no light field; bake it again"
                 )
             if moved:
+                similarity_scale(matrix, "to_world")
                 self.place(matrix)
         except LumitreeError:
             mi.set_property(self.to_world, mi.Transform4f(self.scene_from_world))
@@ -306,7 +309,7 @@ class PlacedLamp(PlacedAsset):
         self.__dict__.pop("_axis_intensities", None)
         self.attached = self._attached_numbers() if tracks else None
         if tracks:
-            _ = self.device.moments, self.with_derivatives().make_tables()
+            self.with_derivatives()
         return moved
 
     def _attached_numbers(self) -> list[mi.Float]:
@@ -346,6 +349,7 @@ class PlacedLamp(PlacedAsset):
             return self
         lamp = copy.copy(self)
         lamp.tracked = True
+        lamp.make_tables()
         return lamp
 
     @property

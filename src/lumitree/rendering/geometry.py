@@ -90,6 +90,9 @@ def geometry_shapes(scene_from_world: NDArray[np.float64], lamp: Any) -> list[mi
             moved = mesh | _moved(mesh, matrix)
             properties = make_properties("", values)
             made.append(make_mesh("geometry", moved, properties, mesh_class))
+            if "emitter" not in values:
+                # Mitsuba merges meshes of one BSDF, also of two lamps, but none with attributes.
+                made[-1].add_attribute("face_lamp", 1, dr.zeros(mi.Float, len(mesh["faces"])))
             made[-1].shown = _SHOWN
     return made
 

@@ -357,7 +357,9 @@ class LampKinds:
         for index, lamp in lamps.items():
             kind = id(lamp.asset), lamp.sampling, lamp.shows_geometry, lamp.lights_inside
             kind_of[numbers[index]] = kinds.setdefault(kind, (len(kinds), lamp))[0]
-        self._lamps = [self._tracked(lamp) for _, lamp in kinds.values()]
+        self._lamps = [
+            lamp.with_derivatives() if self.tracked else lamp for _, lamp in kinds.values()
+        ]
         # In forward mode derivatives pass through tables, and not through numbers that a function
         # captures.
         attached = any(lamp.attaches_gain for lamp in lamps.values())
@@ -371,9 +373,7 @@ class LampKinds:
         """Call a method of `PlacedLamp` of emitters, or of `OtherEmitter`, by its name."""
 
         def of_any(emitter, *args):
-            lamp = lamp_of(emitter)
-            of = OtherEmitter(emitter) if lamp is None else self._tracked(lamp)
-            return getattr(of, method)(*args)
+            return getattr(lamp_of(emitter) or OtherEmitter(emitter), method)(*args)
 
         def of_other(_, pointer, *args):
             def record(emitter, *args):
@@ -394,6 +394,3 @@ class LampKinds:
         number = dr.reinterpret_array(mi.UInt32, emitter)
         kind = dr.gather(mi.UInt32, self._kind_of, number)
         return dr.switch(kind, [*map(of_kind, self._lamps), of_other], number, emitter, *args)
-
-    def _tracked(self, lamp: PlacedLamp) -> PlacedLamp:
-        return lamp.with_derivatives() if self.tracked else lamp
