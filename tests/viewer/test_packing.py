@@ -71,14 +71,14 @@ def test_light_field_survives_packing():
 
 def test_page_is_self_contained_and_holds_the_asset():
     asset = random_asset(3, luminaire="</script><b>@@STYLE@@ & co")
-    page = make_page(asset)
+    page = make_page(asset, exposure=-1.5)
     assert not re.search(r"""(src|href)\s*=\s*["'(]|@import|https?://|url\(""", page)
     assert page.count("</script>") == 3
     assert "<title>&lt;/script&gt;&lt;b&gt;@@STYLE@@ &amp; co - lumitree</title>" in page
-    text = re.search(r'id="asset">(.*?)</script>', page, re.DOTALL)
+    text = re.search(r'id="content">(.*?)</script>', page, re.DOTALL)
     assert text is not None
     description = json.loads(text[1])
-    assert description["luminaire"] == asset.luminaire
+    assert (description["luminaire"], description["exposure"]) == (asset.luminaire, -1.5)
     arrays = unpack_asset(PackedAsset(description, description["block"]))
     assert np.array_equal(arrays["density"], asset.density)
     assert '"' not in notebook_frame(page).split('srcdoc="')[1].split('" style')[0]

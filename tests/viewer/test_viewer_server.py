@@ -43,6 +43,7 @@ def test_bad_input_gives_one_line(asset_file, tmp_path, capsys):
         ([str(damaged)], "damaged.lumitree"),
         ([str(asset_file), "-o", str(tmp_path / "page.html")], "it is a folder"),
         ([str(asset_file), "--port", "70000"], "port 70000; expected 0 to 65535"),
+        ([str(asset_file), "--exposure", "13"], "exposure is 13.0; expected -12 to 12 stops"),
     ):
         assert main(["view", *arguments]) == 2
         error = capsys.readouterr().err

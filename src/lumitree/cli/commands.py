@@ -504,7 +504,7 @@ def _named(option: str, text: str, kind: Any) -> tuple[str, Any]:
 def _mix(given: Given) -> Any:
     given = dict(given)
     output = given.pop("output")
-    check_outputs(output)
+    check_outputs(output, page=True)
     gains = dict(_named("gain", text, vector(1, 3)) for text in given.pop("gain", ()))
     result = call("mix", given | {"gain": gains})
     result.save(output)
@@ -641,7 +641,11 @@ COMMANDS: dict[str, Command] = {
                 "LAYER=R,G,B: factors on the red, green and blue light of a layer, or one number "
                 "for all; may be repeated.",
             ),
-            "output": _IMAGE,
+            "output": dataclasses.replace(
+                _IMAGE,
+                help="File to write: .exr, linear radiance; .png, as --view shows it; or .html, a "
+                "web page with a dimmer for each layer, which begins as this image.",
+            ),
         },
     ),
     "info": Command(

@@ -25,12 +25,16 @@ def print_result(result: Any, opens: str | os.PathLike[str] | None = None) -> No
     print_open(opens)
 
 
-def check_outputs(image: str, *buffers: str | None) -> None:
-    """Refuse an image, or OpenEXR files of layers and buffers, that cannot be written."""
+def check_outputs(image: str, *buffers: str | None, page: bool = False) -> None:
+    """Refuse an image, or OpenEXR files of layers and buffers, that cannot be written.
+
+    Args:
+        page: whether a page may be written in place of the image.
+    """
     from lumitree.core.files import check_writable
     from lumitree.core.images import check_exr_name, check_image_name
 
-    check_image_name(image)
+    check_image_name(image, page=page)
     check_writable(image)
     for path in buffers:
         if path is not None:
@@ -56,7 +60,7 @@ def print_photograph(report: dict[str, Any]) -> None:
     ev, kelvin = report["ev"], report["white_balance"]
     balance = "off" if kelvin is None else f"{kelvin:,.0f} K"
     print_report({k: v for k, v in report.items() if k not in ("ev", "white_balance")})
-    print_lines({"exposure": f"EV {ev:.1f}, white balance {balance}"})
+    print_lines({"exposure": f"EV {ev:.1f} (less is brighter), white balance {balance}"})
 
 
 def print_report(report: dict[str, Any]) -> None:
@@ -161,7 +165,7 @@ def _with_error(values: dict[str, float | None], name: str) -> str:
 
 
 def _megabytes(value: int) -> str:
-    return f"{value / 1e6:.1f} MB"
+    return f"{value / 1e6:.1f} MB" if value >= 50_000 else f"{value / 1e3:.1f} kB"
 
 
 def _shown_value(name: str, value: Any) -> Any:

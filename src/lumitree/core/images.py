@@ -146,11 +146,13 @@ def encode_png(pixels: NDArray[np.uint8], settings: str = "") -> bytes:
     return stream.getvalue()
 
 
-def check_image_name(path: str | os.PathLike[str]) -> None:
-    """Refuse a name of an image whose format is not known by it, before any work is done."""
-    if Path(path).suffix.lower() not in (".exr", ".png"):
+def check_image_name(path: str | os.PathLike[str], *, page: bool = False) -> None:
+    """Refuse a name of an image, or of a page, whose format is not known by it."""
+    suffix = Path(path).suffix.lower()
+    if suffix not in (".exr", ".png") and not (page and suffix == ".html"):
         raise LumitreeError(
             f"image name {str(path)!r} ends in neither .exr (linear) nor .png (for displays)"
+            + ", nor .html (with dimmers)" * page
         )
 
 

@@ -42,7 +42,7 @@ _BUFFERS = {
 }
 
 
-def hidden_mesh_class() -> type:
+def hidden_mesh_class() -> type[mi.Mesh]:
     """Class of meshes whose arrays `mi.traverse` does not show once `shown` is set.
 
     `shown` are the names of the methods that return objects which it shows.
@@ -75,7 +75,7 @@ def make_mesh(
     name: str,
     arrays: Mapping[str, ArrayLike | None],
     props: mi.Properties | None = None,
-    made: Any = None,
+    made: type[mi.Mesh] | None = None,
 ) -> mi.Mesh:
     """A mesh of some arrays; those that are None or empty count as absent.
 

@@ -168,7 +168,8 @@ def illuminance(
 
     All lights of the scene count, with reflections of any number. Direct light from the light
     fields of baked luminaires is summed, and only its shadows are sampled. Straight light of
-    luminaires with geometry is sampled, with shadow rays to their emitters.
+    luminaires with geometry is sampled, with shadow rays to their emitters. `direct_illuminance`
+    has derivatives by the lamps.
 
     Args:
         scene: as for `render`, but it needs no camera, and its integrator does not count. It may

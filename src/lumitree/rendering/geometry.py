@@ -111,7 +111,7 @@ def move_geometry(lamp: Any) -> None:
             parameters["to_world"] = mi.Transform4f(matrix @ np.array(shape.to_world, np.float64))
             parameters.update()
             transforms_as_parameters([made])
-        else:
+        elif isinstance(made, mi.Mesh):
             change_mesh(made, _moved(mesh, matrix))
         for side, medium in shape.media.items():
             parameters = mi.traverse(getattr(made, side)())

@@ -272,7 +272,7 @@ def _has_null_surfaces(scene: mi.Scene) -> bool:
     return False
 
 
-def lamps_alone(params: Any) -> bool:
+def lamps_alone(params) -> bool:
     """Whether no parameters but lamps' have derivatives: these enter the light of paths alone."""
     attached = (value for key, value in params.properties.items() if dr.grad_enabled(params[key]))
     return all(lamp_of(node) is not None for _, _, node, _ in attached)

@@ -32,7 +32,7 @@ def shape_number(shape: mi.Shape) -> int:
     return int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0])
 
 
-def shape_of(number: int) -> Any:
+def shape_of(number: int) -> mi.Shape:
     """The shape of a number."""
     return dr.reinterpret_array(mi.ShapePtr, mi.UInt32(number))[0]
 

@@ -50,9 +50,9 @@ _ADAPTATION, _COLOURED = 0.7, (0.02, 0.05)
 _LEAST_ALBEDO, _POWER = 0.05, 4
 # Largest radiance of a photograph over white, and standard deviation of the filter of what is
 # brighter, pixels.
-_MOST, _FILTER = 16.0, 0.5
+MOST, FILTER = 16.0, 0.5
 # Bloom: standard deviations of Gaussians as parts of the image's diagonal, and their weights.
-_BLOOM = ((0.003, 0.5), (0.012, 0.35), (0.04, 0.15))
+BLOOM = ((0.003, 0.5), (0.012, 0.35), (0.04, 0.15))
 _CAT16 = np.array(
     [
         [0.401288, 0.650173, -0.051461],
@@ -164,16 +164,17 @@ class PhotoSettings:
         """
         metered = radiance if metered is None else metered
         ev = exposure_value(self.exposure, lambda: automatic_ev(metered))
-        white = self._white(metered, albedo)
+        white = self.white(metered, albedo)
         scaled = bloomed(_resolved(radiance, highlights, white_radiance(ev)), self.bloom)
         if white is not None:
             scaled = scaled @ white.adaptation().T.astype(np.float32)
         kelvin = None if white is None else white.temperature
         return Photograph(displayed(scaled, self.view), ev, kelvin)
 
-    def _white(
-        self, radiance: NDArray[np.floating], albedo: NDArray[np.floating] | None
+    def white(
+        self, radiance: NDArray[np.floating], albedo: NDArray[np.floating] | None = None
     ) -> "White | None":
+        """The colour that becomes white, for arguments of `light_on_scene`; None for no change."""
         if self.white_balance == "off":
             return None
         if isinstance(self.white_balance, str):
@@ -310,7 +311,7 @@ def bloomed(image: NDArray[np.float32], share: float) -> NDArray[np.float32]:
     squares = np.add.outer((np.arange(height) / height) ** 2, (np.arange(width) / width) ** 2)
     squares = squares.astype(np.float32)
     kept = np.full((height, width), 1 - share, np.float32)
-    for deviation, weight in _BLOOM:
+    for deviation, weight in BLOOM:
         kept += share * weight * np.exp(-0.5 * (np.pi * deviation * diagonal) ** 2 * squares)
     from scipy import fft
 
@@ -323,16 +324,16 @@ def _resolved(
     radiance: NDArray[np.floating], highlights: Highlights | None, white: float
 ) -> NDArray[np.float32]:
     """Radiance relative to white, clamped to a few times white; see the docstring of the module."""
-    image = np.nan_to_num(radiance / white, posinf=_MOST, neginf=0.0).astype(np.float32)
+    image = np.nan_to_num(radiance / white, posinf=MOST, neginf=0.0).astype(np.float32)
     if highlights is not None:
-        bright, clamped = highlights.divide(_MOST * white)
+        bright, clamped = highlights.divide(MOST * white)
         if bright.any():
             from scipy.ndimage import gaussian_filter
 
-            filtered = gaussian_filter(clamped, (_FILTER, _FILTER, 0), mode="nearest")
+            filtered = gaussian_filter(clamped, (FILTER, FILTER, 0), mode="nearest")
             image += (filtered - bright) / white
     image = np.maximum(image, 0)
-    return image * (_MOST / np.maximum(image.max(axis=-1, keepdims=True), _MOST))
+    return image * (MOST / np.maximum(image.max(axis=-1, keepdims=True), MOST))
 
 
 def _scene(radiance: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:

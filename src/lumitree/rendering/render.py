@@ -240,7 +240,7 @@ def render(
         comment = image_settings(
             "render",
             scene=Path(scene).name if isinstance(scene, str | os.PathLike) else None,
-            lamps=dict(zip(names[1:], map(_described, placements), strict=True)),
+            lamps=dict(zip(names[1:], map(_described, placements, watts), strict=True)),
             integrator=type(job.integrator).__name__,
             spp=rendering.spp,
             time=time,
@@ -277,6 +277,7 @@ def render(
             described = Described(scene, placements, width, metres, denoise, by_lamp)
             renderer = None if executor is None else renderer_of(executor, described)
             job = RenderJob(described)
+            watts = job.watts() if layers else [None] * len(placements)
         with watch.stage("render"), contextlib.ExitStack() as stack:
             budget = Budget(spp, time, noise)
             shown, saved = None if so_far is None else show, None
@@ -320,11 +321,12 @@ def _parts(
     }
 
 
-def _described(placement: Placement) -> dict[str, Any]:
-    """The given values of a placement, for the comment of an image."""
+def _described(placement: Placement, watts: NDArray[np.float64] | None) -> dict[str, Any]:
+    """The given values of a placement, for the comment of an image; with its flux [3], W."""
     values = {field.name: getattr(placement, field.name) for field in dataclasses.fields(placement)}
     given = {name: value for name, value in values.items() if value is not None}
-    return {**given, "source": placement.name}
+    flux = {} if watts is None else {"watts": watts}
+    return {**given, "source": placement.name, **flux}
 
 
 def layer_names(placements: Sequence[Placement]) -> list[str]:

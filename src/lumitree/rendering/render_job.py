@@ -148,6 +148,10 @@ class RenderJob:
             return None
         return self._layers.highlights(rendering.channels[..., self._of_film :])
 
+    def watts(self) -> list[NDArray[np.float64] | None]:
+        """Flux [3] of each lamp in the scene, W; None for explicit ones."""
+        return [None if each.asset is None else each.watts for each in self._placed]
+
     def identity(self, seed: int) -> dict[str, Any]:
         """Inputs of the image, as members of a JSON object.
 

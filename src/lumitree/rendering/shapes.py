@@ -111,7 +111,7 @@ def _proxy(
     )
 
 
-def _from_cube(asset: Asset, matrix: NDArray[np.float64], margin: float) -> Any:
+def _from_cube(asset: Asset, matrix: NDArray[np.float64], margin: float) -> mi.ScalarTransform4f:
     """Transform of [-1, 1]³ to the surface of the proxy."""
     scale = np.diag([*(asset.frame.half_extents + margin), 1])
     return mi.ScalarTransform4f(matrix @ asset.frame.world_from_local @ scale)

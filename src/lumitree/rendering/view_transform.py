@@ -80,6 +80,28 @@ def agx(linear: NDArray[np.floating], look: Look = PUNCHY) -> NDArray[np.float32
     return np.clip(_product(decoded, np.linalg.inv(_REC2020_FROM_SRGB)), 0, 1)
 
 
+def glsl_constants() -> str:
+    """The constants of `agx` for `agx.glsl`, as GLSL."""
+    low, high = _STOPS
+    grey = np.outer(np.ones(3), LUMA)
+    matrices = {
+        "BEFORE": _INSET @ _REC2020_FROM_SRGB,
+        "SATURATED": _OUTSET @ (grey + PUNCHY.saturation * (np.eye(3) - grey)),
+        "AFTER": np.linalg.inv(_REC2020_FROM_SRGB),
+    }
+    numbers = {
+        "LOW": low, "HIGH": high, "MIDDLE": -low / (high - low), "GREY": _GREY, "SLOPE": _SLOPE,
+        "TOE": _TOE, "SHOULDER": _SHOULDER, "LOOK_POWER": PUNCHY.power, "GAMMA": _GAMMA,
+        "MOST": _MOST,
+    }  # fmt: skip
+    lines = [f"const float {name} = {float(value)!r};" for name, value in numbers.items()]
+    for name, matrix in matrices.items():
+        # Matrices of GLSL are written column by column.
+        columns = ", ".join(f"{each:.9f}" for each in matrix.T.ravel())
+        lines.append(f"const mat3 {name} = mat3({columns});")
+    return "\n".join(lines) + "\n"
+
+
 def _product(colours: NDArray[np.float32], matrix: NDArray[np.float64]) -> NDArray[np.float32]:
     """A matrix times colours [..., 3]."""
     return colours @ matrix.T.astype(np.float32)

@@ -1,4 +1,7 @@
-"""The viewer: one web page that shows an asset, without a network or other files.
+"""Web pages without a network or other files: of an asset, and of an image with dimmers.
+
+`mix` changes the light of an image, and `dimmers` makes its page: layers, compressed by what they
+share, which shaders sum and show as the photographs of `rendering`.
 
 `packing` converts an asset into arrays for textures, and `view` puts them into one file with the
 scripts and shaders of the folder `page/`: one shader follows paths through the geometry, one

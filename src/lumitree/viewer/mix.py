@@ -9,10 +9,16 @@ from numpy.typing import NDArray
 
 from lumitree.core.arguments import check_gain
 from lumitree.core.backend import in_turn
-from lumitree.core.files import FilePath
-from lumitree.core.images import encode_png, image_settings, read_comment, read_exr
+from lumitree.core.files import FilePath, write_bytes
+from lumitree.core.images import (
+    check_image_name,
+    encode_png,
+    image_settings,
+    read_comment,
+    read_exr,
+)
 from lumitree.core.results import Stopwatch
-from lumitree.errors import LumitreeError, shown
+from lumitree.errors import LumitreeError, explained, shown
 from lumitree.rendering.image import SavedImage
 from lumitree.rendering.photograph import Highlights, PhotoSettings
 from lumitree.rendering.render import RenderResult
@@ -102,6 +108,39 @@ class MixResult(SavedImage):
     layers: list[str]
     resolution: tuple[int, int]
     mean_radiance: float
+    _layers: ImageLayers = dataclasses.field(repr=False)
+    _gain: dict[str, tuple[float, float, float]] = dataclasses.field(repr=False)
+    _photo: PhotoSettings = dataclasses.field(repr=False)
+
+    @explained
+    def save(self, path: FilePath) -> None:
+        """Write the image, or a web page with a dimmer for each layer, which begins as this image.
+
+        Args:
+            path: path of the file, `.exr` (linear radiance), `.png` (`png`) or `.html` (the page,
+                which needs no other file and no network).
+
+        Raises:
+            LumitreeError: the name has another ending, the file cannot be written, or there are
+                too many layers or pixels for a page.
+        """
+        check_image_name(path, page=True)
+        if Path(path).suffix.lower() != ".html":
+            super().save(path)
+            return
+        from lumitree.viewer.dimmers import dimmer_page
+
+        given = self._layers
+        page = dimmer_page(
+            given.light,
+            given.highlights,
+            self._gain,
+            self._photo,
+            self.ev,
+            file=given.file,
+            rendered=given.rendered,
+        )
+        write_bytes(path, page.encode())
 
 
 @in_turn
@@ -130,7 +169,7 @@ def mix(
 
     Returns:
         The image as `pixels`, float32 [height, width, 3], linear radiance in W/(m² sr), and
-        as `png`. `MixResult.save` writes it.
+        as `png`. `MixResult.save` writes it, or a web page with a dimmer for each layer.
 
     Raises:
         LumitreeError: the file is missing, damaged or has no layers; a gain is out of range or
@@ -170,5 +209,8 @@ def mix(
         ev=photograph.ev,
         white_balance=photograph.white_balance,
         png=encode_png(photograph.pixels, comment),
+        _layers=given,
+        _gain=factors,
+        _photo=settings,
         **watch.costs(),
     )

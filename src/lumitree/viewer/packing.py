@@ -8,6 +8,8 @@ float16 relative to the largest of each cell.
 
 import base64
 import dataclasses
+from collections.abc import Collection
+from typing import Any
 
 import numpy as np
 
@@ -78,10 +80,7 @@ def pack_asset(asset: Asset) -> PackedAsset:
             f"the asset of {asset.luminaire} has {max(texels):,} texels; the viewer shows at most "
             f"{MAX_TEXELS:,}; bake it with a lower quality"
         )
-    layouts = [
-        Layout(name, array.dtype, array.shape, planes=name in in_planes)
-        for name, array in arrays.items()
-    ]
+    described, block = packed_arrays(arrays, in_planes)
     # Subjects of the page's images.
     subjects = ["model"] * (model is not None) + ["field"] * has_field
     shown = " and ".join(subjects) or "light field"
@@ -105,19 +104,27 @@ def pack_asset(asset: Asset) -> PackedAsset:
         "field": field,
         "model": model,
         "light_field": light,
-        "arrays": [
-            [
-                each.name,
-                np.dtype(each.dtype).str.lstrip("<|"),
-                len(array),
-                array[:1].size,
-                each.planes,
-            ]
-            for each, array in zip(layouts, arrays.values(), strict=True)
-        ],
+        "arrays": described,
     }
-    block = base64.b64encode(compressed(arrays, layouts).tobytes()).decode()
     return PackedAsset(description, block)
+
+
+def packed_arrays(arrays: Arrays, in_planes: Collection[str]) -> tuple[list[Any], str]:
+    """Arrays for a page: name, type, rows, columns and planes of each; and the stream, in base64.
+
+    Args:
+        in_planes: names of the arrays that are written in planes.
+    """
+    layouts = [
+        Layout(name, array.dtype, array.shape, planes=name in in_planes)
+        for name, array in arrays.items()
+    ]
+    kinds = [np.dtype(each.dtype).str.lstrip("<|") for each in layouts]
+    described = [
+        [each.name, kind, len(array), array[:1].size, each.planes]
+        for each, kind, array in zip(layouts, kinds, arrays.values(), strict=True)
+    ]
+    return described, base64.b64encode(compressed(arrays, layouts).tobytes()).decode()
 
 
 def _field(asset: Asset, steps: Steps) -> tuple[Json, Arrays]:

@@ -7,7 +7,7 @@ import dataclasses
 import html
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib import resources
 from pathlib import Path
@@ -16,11 +16,13 @@ from typing import Any
 import numpy as np
 
 from lumitree.asset.asset import Asset
+from lumitree.core.arguments import check_range
 from lumitree.core.backend import in_turn, load_rgb
 from lumitree.core.files import FilePath, check_writable, json_text, write_bytes
-from lumitree.core.results import Result, Stopwatch
+from lumitree.core.results import Json, Result, Stopwatch
 from lumitree.errors import LumitreeError, shown
 from lumitree.rendering.asset_cache import open_asset
+from lumitree.rendering.view_transform import glsl_constants
 
 # In the order in which they are run; all share one scope.
 _SCRIPTS = ("gl.js", "field.js", "model.js", "irradiance.js", "camera.js", "interface.js")
@@ -60,7 +62,9 @@ class ViewResult(Result):
 
 
 @in_turn
-def view(asset: Asset | FilePath, output: FilePath | None = None) -> ViewResult:
+def view(
+    asset: Asset | FilePath, output: FilePath | None = None, *, exposure: float = 0.0
+) -> ViewResult:
     """Make a web page that shows an asset, and the illuminance around it.
 
     It shows what images show: the geometry; or the field; or the light field of an asset that has
@@ -74,14 +78,16 @@ def view(asset: Asset | FilePath, output: FilePath | None = None) -> ViewResult:
     Args:
         asset: an asset, or the path of a `.lumitree` file, a photometric file or a ray file.
         output: path of the HTML file to write. Default: no file is written.
+        exposure: of the lamp when the page is opened, stops more than automatic, -12 to 12.
 
     Returns:
         The page as `html`; in a notebook, the result shows it.
 
     Raises:
-        LumitreeError: the asset cannot be read, or is too large for a browser; or the file has
-            another ending than .html or .htm, or cannot be written.
+        LumitreeError: the asset cannot be read, or is too large for a browser; the exposure is out
+            of range; or the file has another ending than .html or .htm, or cannot be written.
     """
+    check_range("exposure", exposure, -12, 12, "stops")
     if output is not None:
         if Path(output).suffix.lower() not in (".html", ".htm"):
             name = shown(repr(str(output)), 300)
@@ -93,7 +99,7 @@ def view(asset: Asset | FilePath, output: FilePath | None = None) -> ViewResult:
     with watch.stage("load"):
         loaded = open_asset(asset)
     with watch.stage("page"):
-        html = make_page(loaded)
+        html = make_page(loaded, exposure)
         content = html.encode()
         if output is not None:
             write_bytes(output, content)
@@ -106,7 +112,7 @@ def view(asset: Asset | FilePath, output: FilePath | None = None) -> ViewResult:
     )
 
 
-def make_page(asset: Asset) -> str:
+def make_page(asset: Asset, exposure: float = 0.0) -> str:
     """HTML text of a page that shows an asset; it loads nothing. Errors are as in `pack_asset`."""
     import matplotlib
 
@@ -114,19 +120,46 @@ def make_page(asset: Asset) -> str:
     from lumitree.viewer.polar import polar_svg
 
     packed = pack_asset(asset)
-    shaders = {name: _file(f"{name}.glsl") for name in _SHADERS}
     colours = matplotlib.colormaps["inferno"](np.linspace(0, 1, 256))[:, :3]
     colour_map = np.round(colours * 255).astype(int).ravel().tolist()
+    content = {
+        **packed.description,
+        "block": packed.block,
+        "colours": colour_map,
+        "exposure": exposure,
+    }
+    body = page_file("lamp.html").replace("@@POLAR@@", polar_svg(asset))
+    return web_page(f"{asset.luminaire} - lumitree", body, content, _SHADERS, _SCRIPTS)
+
+
+def web_page(
+    title: str,
+    body: str,
+    content: Json,
+    shaders: Sequence[str],
+    scripts: Sequence[str],
+) -> str:
+    """HTML text of a page, which loads nothing.
+
+    Args:
+        title: of the page.
+        body: HTML text of its body.
+        content: what the scripts show; `content` in `gl.js`.
+        shaders: names of files of the folder `page`, beside "agx".
+        scripts: names of files of the folder, in the order in which they are run.
+    """
+    texts = {name: page_file(f"{name}.glsl") for name in shaders}
+    texts["agx"] = glsl_constants() + page_file("agx.glsl")
     parts = {
-        "TITLE": html.escape(f"{asset.luminaire} - lumitree"),
-        "STYLE": _file("style.css"),
-        "ASSET": _json({**packed.description, "block": packed.block, "colours": colour_map}),
-        "SHADERS": _json(shaders),
-        "POLAR": polar_svg(asset),
-        "SCRIPT": "\n".join(_file(name) for name in _SCRIPTS),
+        "TITLE": html.escape(title),
+        "STYLE": page_file("style.css"),
+        "BODY": body,
+        "CONTENT": _json(content),
+        "SHADERS": _json(texts),
+        "SCRIPT": "\n".join(map(page_file, scripts)),
     }
     # The parts are joined, and not replaced one after the other: a name may look like a place.
-    pieces = _file("template.html").split("@@")
+    pieces = page_file("template.html").split("@@")
     return "".join(parts[piece] if index % 2 else piece for index, piece in enumerate(pieces))
 
 
@@ -138,7 +171,8 @@ def notebook_frame(page: str, height: int = 560) -> str:
     )
 
 
-def _file(name: str) -> str:
+def page_file(name: str) -> str:
+    """Text of a file of the folder `page`."""
     return (resources.files("lumitree.viewer") / "page" / name).read_text(encoding="utf-8")
 
 

@@ -6,10 +6,6 @@ uniform int mode, curve, backdrop, modelled;   // radiance, opacity, density, le
 const int STUDIO = 3;
 out vec4 pixel;
 
-vec3 encode(vec3 c) {
-  c = clamp(c, 0.0, 1.0);
-  return mix(12.92 * c, 1.055 * pow(c, vec3(1.0 / 2.4)) - 0.055, step(0.0031308, c));
-}
 vec3 decode(vec3 c) { return mix(c / 12.92, pow((c + 0.055) / 1.055, vec3(2.4)), step(0.04045, c)); }
 
 // Fit of the ACES RRT and ODT by S. Hill.
@@ -19,19 +15,6 @@ vec3 aces(vec3 c) {
   c = before * c;
   c = (c * (c + 0.0245786) - 0.000090537) / (c * (0.983729 * c + 0.4329510) + 0.238081);
   return encode(after * c);
-}
-
-// Fit of AgX by B. Wrensch.
-vec3 agx(vec3 c) {
-  const mat3 inset = mat3(0.842479062253094, 0.0423282422610123, 0.0423756549057051,
-    0.0784335999999992, 0.878468636469772, 0.0784336, 0.0792237451477643, 0.0791661274605434, 0.879142973793104);
-  const mat3 outset = mat3(1.19687900512017, -0.0528968517574562, -0.0529716355144438,
-    -0.0980208811401368, 1.15190312990417, -0.0980434501171241, -0.0990297440797205, -0.0989611768448433, 1.15107367264116);
-  c = clamp(log2(max(inset * c, 1e-10)), -12.47393, 4.026069);
-  c = (c + 12.47393) / 16.5;
-  vec3 c2 = c * c, c4 = c2 * c2;
-  c = 15.5 * c4 * c2 - 40.14 * c4 * c + 31.96 * c4 - 6.868 * c2 * c + 0.4298 * c2 + 0.1191 * c - 0.00232;
-  return clamp(outset * c, 0.0, 1.0);
 }
 
 vec3 behind(vec2 uv) {
@@ -55,7 +38,7 @@ void main() {
       vec3 lit = modelled != 0 ? texture(soft, uv).rgb : vec3(studio_backdrop * l.a);
       linear += brightness * lit;
     } else linear += (modelled != 0 ? texture(seen, uv).rgb : vec3(l.a)) * behind(uv);
-    c = curve == 0 ? encode(linear) : curve == 1 ? aces(linear) : agx(linear);
+    c = curve == 0 ? encode(linear) : curve == 1 ? aces(linear) : encode(agx(linear));
   } else if (mode == 1) c = vec3(1.0 - l.a);
   else if (d.z == 0.0) c = vec3(0.06);
   else if (mode == 2) c = false_colour(1.0 + log(max(d.x, 1e-20) / max_density) / log(1e4));

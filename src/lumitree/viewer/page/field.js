@@ -1,3 +1,5 @@
+// The asset of the page.
+const asset = content;
 // The field: its textures, and images of it.
 const field = {
   target: makeTarget(2),

@@ -1,5 +1,5 @@
-// The asset of the page, WebGL 2, and textures of 4096 texels a row.
-const asset = JSON.parse(document.getElementById("asset").textContent);
+// The content of the page, WebGL 2, and textures of 4096 texels a row.
+const content = JSON.parse(document.getElementById("content").textContent);
 const shaders = JSON.parse(document.getElementById("shaders").textContent);
 const canvas = document.getElementById("view");
 const gl = canvas.getContext("webgl2", { alpha: false, antialias: false, depth: false, preserveDrawingBuffer: true });
@@ -10,19 +10,20 @@ function fail(text) {
   message.hidden = false;
   throw new Error(text);
 }
-if (!gl) fail("This browser has no WebGL 2, which the viewer needs.");
-if (!gl.getExtension("EXT_color_buffer_float")) fail("This GPU cannot draw to float textures, which the viewer needs.");
+if (!gl) fail("This browser has no WebGL 2, which this page needs.");
+if (!gl.getExtension("EXT_color_buffer_float")) fail("This GPU cannot draw to float textures, which this page needs.");
 canvas.addEventListener("webglcontextlost", () => fail("The GPU stopped. Reload the page."));
 
 async function unpackArrays() {
-  const packed = Uint8Array.from(atob(asset.block), c => c.charCodeAt(0));
-  asset.block = null;
+  if (typeof DecompressionStream === "undefined") fail("This browser has no DecompressionStream, which this page needs.");
+  const packed = Uint8Array.from(atob(content.block), c => c.charCodeAt(0));
+  content.block = null;
   const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
   const bytes = new Uint8Array(await new Response(stream).arrayBuffer());
   const types = { i4: Int32Array, i2: Int16Array, u2: Uint16Array, f4: Float32Array, f2: Uint16Array, u1: Uint8Array };
   const arrays = {};
   let start = 0;
-  for (const [name, type, rows, columns, planes] of asset.arrays) {
+  for (const [name, type, rows, columns, planes] of content.arrays) {
     const size = rows * columns * types[type].BYTES_PER_ELEMENT, part = bytes.slice(start, start + size);
     arrays[name] = planes ? fromPlanes(part, types[type], rows, columns) : new types[type](part.buffer);
     start += size;
@@ -116,8 +117,8 @@ function longTexture(data, channels, internal, format, type) {
   return texture;
 }
 
-function makeTarget(count) {
-  return { buffer: gl.createFramebuffer(), textures: Array.from({ length: count }, () => makeTexture()), width: 0, height: 0 };
+function makeTarget(count, format = gl.RGBA32F, filter = gl.NEAREST) {
+  return { buffer: gl.createFramebuffer(), textures: Array.from({ length: count }, () => makeTexture(filter)), width: 0, height: 0, format };
 }
 function bindTarget(target, width, height) {
   gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
@@ -125,7 +126,7 @@ function bindTarget(target, width, height) {
     Object.assign(target, { width, height });
     target.textures.forEach((texture, i) => {
       gl.bindTexture(gl.TEXTURE_2D, texture);
-      gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32F, width, height, 0, gl.RGBA, gl.FLOAT, null);
+      gl.texImage2D(gl.TEXTURE_2D, 0, target.format, width, height, 0, gl.RGBA, gl.FLOAT, null);
       gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0 + i, gl.TEXTURE_2D, texture, 0);
     });
     gl.drawBuffers(target.textures.map((_, i) => gl.COLOR_ATTACHMENT0 + i));

@@ -5,7 +5,7 @@ gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, 256, 1, 0, gl.RGBA, gl.UNSIGNED_BYTE,
   Uint8Array.from({ length: 1024 }, (_, i) => i % 4 === 3 ? 255 : asset.colours[3 * (i >> 2) + i % 4]));
 const background = makeTexture(gl.LINEAR);
 gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, 1, 1, 0, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array([90, 90, 90, 255]));
-const display = makeProgram("display"), wallDisplay = makeProgram("walls");
+const display = makeProgram("display", shaders.agx), wallDisplay = makeProgram("walls");
 // An image takes at most this long while the view moves; it is then drawn with fewer pixels.
 const MOVING_MS = 33, STILL_AFTER_MS = 180;
 const state = { tab: "lamp", keys: new Map(), scale: 1, moving: 0, timer: 0, dirty: true, shown: true, room: [], lux: null, places: [] };
@@ -275,12 +275,12 @@ const toBase64 = array => {
   return btoa(text);
 };
 async function start() {
-  if (typeof DecompressionStream === "undefined") fail("This browser has no DecompressionStream, which the viewer needs.");
   const arrays = await unpackArrays();
   if (asset.field) field.load(arrays);
   if (asset.model) await model.load(arrays);
   if (asset.light_field) walls.load(arrays);
   resetView();
+  $("exposure").value = asset.exposure;
   connect();
   for (const [mode, available] of [[MODEL, asset.model], [0, asset.field], [1, asset.field], [2, asset.field], [3, asset.field]])
     if (!available) $("mode").querySelector(`[value="${mode}"]`).remove();
