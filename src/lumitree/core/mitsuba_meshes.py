@@ -125,6 +125,13 @@ def copy_mesh(copy: mi.Mesh, mesh: mi.Mesh, props: mi.Properties) -> None:
     parameters.update()
 
 
+def keep_apart(mesh: mi.Mesh) -> None:
+    """Let Mitsuba not merge a mesh with others of its BSDF: it merges none with attributes."""
+    import mitsuba as mi
+
+    mesh.add_attribute("face_apart", 1, on_device(mi.Float, np.zeros(mesh.face_count())))
+
+
 def change_mesh(mesh: mi.Mesh, arrays: Mapping[str, ArrayLike]) -> None:
     """Replace some arrays of a mesh, but for its colours.
 

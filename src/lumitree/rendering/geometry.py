@@ -37,6 +37,7 @@ from lumitree.core.mitsuba_meshes import (
     VERTEX_COLOUR,
     change_mesh,
     hidden_mesh_class,
+    keep_apart,
     make_mesh,
 )
 from lumitree.rendering.objects import load_ordered, make_object, make_properties, shape_of
@@ -91,8 +92,7 @@ def geometry_shapes(scene_from_world: NDArray[np.float64], lamp: Any) -> list[mi
             properties = make_properties("", values)
             made.append(make_mesh("geometry", moved, properties, mesh_class))
             if "emitter" not in values:
-                # Mitsuba merges meshes of one BSDF, also of two lamps, but none with attributes.
-                made[-1].add_attribute("face_lamp", 1, dr.zeros(mi.Float, len(mesh["faces"])))
+                keep_apart(made[-1])
             made[-1].shown = _SHOWN
     return made
 
