@@ -32,7 +32,7 @@ LINES = {
 }
 FILES = 222
 OTHERS = {
-    "lines of tests": 43_130,
+    "lines of tests": 43_180,
     "lines of benchmarks": 9_850,
     "words of docs by hand": 45_000,
     "lines of README.md": 90,

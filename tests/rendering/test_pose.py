@@ -7,6 +7,7 @@ import pytest
 
 import lumitree
 from lumitree.asset.asset import light_field_asset
+from lumitree.asset.geometry import MeshShape
 from lumitree.asset.light_field import make_light_field
 from lumitree.core.frames import LocalFrame, similarity
 from lumitree.core.octahedral import middle_directions
@@ -21,14 +22,15 @@ FRAME = LocalFrame(np.array([0.9, 1.0, 0.7]), similarity(np.eye(3), 1.3, [0.1, 0
 RESOLUTION = 16
 
 
-def smooth_lamp():
+def smooth_lamp(*, absolute=False):
     """An asset whose light varies slowly with the direction, and differs from cell to cell."""
     cells = np.stack(np.meshgrid(*3 * [np.arange(4)], indexing="ij"), axis=-1).reshape(-1, 3)
     towards = middle_directions(RESOLUTION)
     down = (1.2 - towards[:, 1] + 0.4 * towards[:, 0]) ** 2
     brightness = 1 + 0.3 * cells[:, 0] + 0.1 * cells[:, 1]
     intensity = brightness[:, None, None] * down[:, None] * np.array([1.0, 0.8, 0.5])
-    return light_field_asset(make_light_field(cells, intensity, 2), FRAME, "smooth")
+    field = make_light_field(cells, intensity, 2, absolute=absolute)
+    return light_field_asset(field, FRAME, "smooth")
 
 
 def lamps():
@@ -115,6 +117,19 @@ def test_parameters_of_lamps_are_what_they_follow(mi):
     assert not any(each in name for name in of_geometry for each in arrays)
 
 
+def test_glass_of_two_lamps_of_one_asset_stays_apart(mi):
+    """Mitsuba would merge meshes of one BSDF, which then belong to no lamp."""
+    shapes = (
+        MeshShape(material=0, vertices=4, faces=4, normals=True, texcoords=True, colours=True),
+        MeshShape(material=2, vertices=4, faces=4),
+    )
+    asset = with_geometry(small_geometry(shapes=shapes), LocalFrame(np.ones(3), np.eye(4)))
+    away = similarity(np.eye(3), 1.0, [3, 0, 0])
+    scene = scene_with(mi, lamp=lumitree.shape(asset), other=lumitree.shape(asset, away))
+    glass = {"lamp_geometry_1", "other_geometry_1"}
+    assert glass <= {shape.id() for shape in scene.shapes()}
+
+
 @pytest.mark.parametrize(
     "pose", [np.diag([1, 2, 1, 1]), np.diag([-1, 1, 1, 1]), np.full((4, 4), np.nan)]
 )
@@ -151,9 +166,9 @@ def set_lamp(mi, parameters, gain, **pose):
     parameters.update()
 
 
-def scene_of(mi, bsdf="diffuse", others=0, sampling="emission"):
+def scene_of(mi, asset, bsdf="diffuse", others=0, sampling="emission"):
     """One lamp whose pose is changed, and others."""
-    place, asset = mi.ScalarTransform4f, lamps()["light"]
+    place = mi.ScalarTransform4f
     shapes = {
         f"lamp{i or ''}": lumitree.shape(
             asset, place().translate([-0.8 * i, 0.6, -0.5 * i]).scale(0.3), sampling
@@ -206,7 +221,7 @@ def gradient(mi, scene, integrator, spp, seed):
 def test_gradients_are_central_differences(mi, bsdf, others, spp):
     import drjit as dr
 
-    scene = scene_of(mi, bsdf, others)
+    scene = scene_of(mi, smooth_lamp(), bsdf, others)
     integrator = mi.load_dict({"type": "lumitree_path", "max_depth": 3})
     expected = differences(mi, scene, integrator, spp)
     assert gradient(mi, scene, integrator, spp, 7) == pytest.approx(expected, rel=0.03)
@@ -221,9 +236,18 @@ def test_gradients_are_central_differences(mi, bsdf, others, spp):
 
 
 @pytest.mark.slow
+def test_gradients_of_absolute_intensities(mi):
+    """Their radiance falls with the area of the lamp."""
+    scene = scene_of(mi, smooth_lamp(absolute=True))
+    integrator = mi.load_dict({"type": "lumitree_path", "max_depth": 3})
+    expected = differences(mi, scene, integrator, 2048)
+    assert gradient(mi, scene, integrator, 2048, 7) == pytest.approx(expected, rel=0.03)
+
+
+@pytest.mark.slow
 def test_gradients_of_prb_agree(mi):
     """Within their noise, which is larger."""
-    scene = scene_of(mi, sampling="uniform")
+    scene = scene_of(mi, smooth_lamp(), sampling="uniform")
     path, prb = (mi.load_dict({"type": kind, "max_depth": 3}) for kind in ("lumitree_path", "prb"))
     expected = gradient(mi, scene, path, 4096, 5)
     found = [gradient(mi, scene, prb, 4096, seed) for seed in range(8)]

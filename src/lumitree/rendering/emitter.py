@@ -321,7 +321,7 @@ class PlacedLamp(PlacedAsset):
         axes = [each / scale for each in itertools.chain(*rows)]
         dimming = mi.Float(self.numbers[13])
         if self.asset.is_photometric:
-            dimming = dr.square(frame.scale / scale)
+            dimming = dr.square(float(frame.scale) / scale)
         found = [scale, *(matrix[i, 3] for i in range(3)), *axes, dimming]
         values = [parameter(mi.Float, number) for number in self.numbers.tolist()]
         found = [dr.replace_grad(*each) for each in zip(values, found, strict=True)]
