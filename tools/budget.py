@@ -32,8 +32,8 @@ LINES = {
 }
 FILES = 222
 OTHERS = {
-    "lines of tests": 43_180,
-    "lines of benchmarks": 9_850,
+    "lines of tests": 43_230,
+    "lines of benchmarks": 10_000,
     "words of docs by hand": 45_000,
     "lines of README.md": 90,
     "files that use the word gain": 13,

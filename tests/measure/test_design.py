@@ -265,3 +265,14 @@ def test_direct_illuminance_has_derivatives_by_the_pose(mi):
     dr.backward(found)
     expected = (float(high[0]) - float(low[0])) / 0.02
     assert float(dr.grad(x)[0]) == pytest.approx(expected, rel=0.01)
+
+
+def test_a_lamp_that_is_off_does_not_move(mi, even):
+    plane = lumitree.TaskPlane((0, 0, 0), spacing=0.5, minimum=50)
+    lamps = [lamp(even, 0.2, 0.1, label="near"), lamp(even, 8, 8, label="far")]
+    region = (-9, 1, -9, 9, 3, 9)
+    result = lumitree.design(ROOM, lamps, planes=[plane], move={"*": "xz"}, region=region)
+    near, far = result.lamps
+    assert far.level == 0
+    assert far.placement.at == pytest.approx((8, 2, 8))
+    assert near.placement.at != (0.2, 2, 0.1)
