@@ -217,7 +217,9 @@ def test_what_a_command_cannot_do_is_refused_before_it_works(capsys, monkeypatch
 def test_exposure_and_white_balance_are_printed(capsys, kelvin, balance):
     print_photograph({"image": "a.png", "spp": 4, "ev": 9.46, "white_balance": kelvin})
     lines = capsys.readouterr().out.splitlines()
-    assert lines[-1].split() == f"exposure EV 9.5, white balance {balance}".split()
+    assert (
+        lines[-1].split() == f"exposure EV 9.5 (less is brighter), white balance {balance}".split()
+    )
     assert "ev" not in {line.split()[0] for line in lines}
 
 

@@ -15,7 +15,7 @@ SOURCE = ROOT / "src/lumitree"
 
 # Lines of Python by package of `src/lumitree`; "" are the modules beside the packages.
 LINES = {
-    "": 415,
+    "": 425,
     "asset": 2_800,
     "cli": 1_840,
     "core": 4_830,
@@ -24,15 +24,15 @@ LINES = {
     "formats": 4_100,
     "lamp": 10_450,
     "many": 620,
-    "measure": 6_460,
+    "measure": 6_560,
     "octree": 1_050,
-    "rendering": 9_570,
+    "rendering": 9_940,
     "trace": 1_900,
     "viewer": 1_940,
 }
 FILES = 222
 OTHERS = {
-    "lines of tests": 43_090,
+    "lines of tests": 43_180,
     "lines of benchmarks": 9_850,
     "words of docs by hand": 45_000,
     "lines of README.md": 90,

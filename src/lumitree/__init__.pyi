@@ -59,6 +59,7 @@ from .measure.design import DesignedLamp as DesignedLamp
 from .measure.design import DesignResult as DesignResult
 from .measure.design import design as design
 from .measure.dimming import TaskPlane as TaskPlane
+from .measure.direct_light import direct_illuminance as direct_illuminance
 from .measure.evaluate import EvaluateResult as EvaluateResult
 from .measure.evaluate import evaluate as evaluate
 from .measure.glare import Glare as Glare

@@ -23,6 +23,8 @@ BAKE_SECONDS = 150
 WIDTH = 640
 # Time of rendering of each image, and in the full demonstration.
 ROOM_SECONDS, FULL_ROOM_SECONDS = 20.0, 60.0
+# Fewer samples per pixel are explained.
+_FEW_SAMPLES = 8
 
 
 def demo(
@@ -88,8 +90,12 @@ def _render_room(
     try:
         check_denoiser()
         filters = True
-    except LumitreeError as error:
-        print(f"lumitree: {error}", file=sys.stderr)
+    except LumitreeError:
+        print(
+            "note: the images are not denoised; for that, `pip install 'lumitree[denoise]'`, and "
+            "run the same command again",
+            file=sys.stderr,
+        )
         filters = False
     found = {
         name: render(
@@ -101,6 +107,12 @@ def _render_room(
         )
         for name, source in (("baked", asset), ("explicit", LUMINAIRE))
     }
+    if (least := min(image.spp for image in found.values())) < _FEW_SAMPLES:
+        print(
+            f"note: the computer was busy: {least} samples per pixel in {seconds:g} s; on an idle "
+            "one the images are better",
+            file=sys.stderr,
+        )
     images: list[Panel] = []
     for name, image in found.items():
         assert image.noisy is not None

@@ -149,7 +149,7 @@ def test_where_only_rgb_is_known_the_report_says_so(folder, capsys):
     result = lumitree.photometry("lamp.xml", "a.html", step=30, paths=PATHS)
     assert result.emitted_colour is None
     assert result.spectrum_share == 0
-    expected = "colour rendering</th><td>not known: the emitters have RGB colours, no spectrum"
+    expected = "colour rendering</th><td>not known: no spectrum of the emitters is stated"
     assert expected in (folder / "a.html").read_text()
 
 

@@ -13,6 +13,7 @@ from lumitree.asset.asset import light_field_asset
 from lumitree.asset.light_field import make_light_field
 from lumitree.core.frames import LocalFrame
 from lumitree.errors import LumitreeError
+from lumitree.measure import design
 from support.slow import slow
 
 # A scene without lamps; something black and far away makes it one.
@@ -51,7 +52,7 @@ def test_two_lamps_are_dimmed_as_a_search_finds_it(mi, even, tmp_path):
     )
     lamps = [lamp(even, -1, 0), lamp(even, 1.5, 0.5, lumens=3000)]
     result = lumitree.design(ROOM, lamps, planes=[plane], margin=0)
-    assert [each.label for each in result.lamps] == ["even", "even 2"]
+    assert [each.label for each in result.lamps] == ["even", "even_2"]
     points, _ = plane.points()
     each = np.stack([lux(points, 4000, -1, 0), lux(points, 3000, 1.5, 0.5)])
 
@@ -86,10 +87,11 @@ def _check_files(result, folder):
 def test_a_lamp_moves_to_the_middle_of_its_plane(mi, even):
     plane = lumitree.TaskPlane((0.2, 0, -0.3), extent=(1, 1), spacing=0.25, minimum=50)
     result = lumitree.design(
-        ROOM, [lamp(even, 0.9, 0.5, label="one"), lamp(even, 5, 5, 1e-3, label="other")],
+        ROOM, [lamp(even, 0.9, 0.5, label="one"), lamp(even, 5, 5, 1e-3, label="the other")],
         planes=[plane], move={"one": "xz"}, region=(-3, 1, -3, 3, 3, 3),
     )  # fmt: skip
     (x, y, z), other = result.lamps[0].placement.at, result.lamps[1].placement
+    assert [each.label for each in result.lamps] == ["one", "the other"]
     assert (x, z) == pytest.approx((0.2, -0.3), abs=0.04)
     assert (y, other.at) == (2, (5, 2, 5))
     assert result.areas[0].simulated.smallest == pytest.approx(50, rel=0.02)
@@ -158,12 +160,12 @@ def test_the_command_writes_placements_that_have_what_it_prints(mi, even, tmp_pa
     out = tmp_path / "dimmed.toml"
     command = (
         f"design examples/office.xml --placements {tmp_path / 'lights.toml'} --plane 0,0.75,0 "
-        f"--extent 3,2 --target 250 --uniformity 0.5 --steps 20 --group row?[14] -o {out}"
+        f"--extent 3,2 --target 250 --uniformity 0.5 --steps 20 --group row_[25] -o {out}"
     ).split()
     assert main([*command, "--json", str(tmp_path / "found.json")]) == 0
     assert "predicted" in capsys.readouterr().out
     lamps = lumitree.read_placements(out)
-    assert lamps[0].gain == lamps[3].gain
+    assert lamps[1].gain == lamps[4].gain
     assert all(20 * each.gain == pytest.approx(round(20 * each.gain)) for each in lamps)
     report = json.loads((tmp_path / "found.json").read_text())
     assert report["areas"][0]["simulated"]["mean"] >= 245
@@ -172,3 +174,71 @@ def test_the_command_writes_placements_that_have_what_it_prints(mi, even, tmp_pa
     predicted = report["areas"][0]["predicted"]
     assert again.areas[0].mean == pytest.approx(predicted["mean"], rel=0.02)
     assert dataclasses.asdict(again.areas[0])["uniformity"] >= 0.47
+
+
+def test_the_smallest_grid_that_is_enough_is_found(mi, even, monkeypatch):
+    plane = lumitree.TaskPlane((1, 0, 0), extent=(4, 2), spacing=0.5, target=90)
+    result = lumitree.design(ROOM, [lamp(even, 0, 0, label="spot")], planes=[plane], count=True)
+    points, _ = plane.points()
+
+    def mean(columns, rows):
+        places = itertools.product(range(columns), range(rows))
+        pitch = 3.5 / columns, 1.5 / rows
+        at = [(pitch[0] * (i + 0.5) - 0.75, pitch[1] * (j + 0.5) - 0.75) for i, j in places]
+        return sum(lux(points, 4000, x, z) for x, z in at).mean()
+
+    assert len(result.lamps) == 2
+    assert mean(1, 1) < 90 <= mean(2, 1)
+    assert [each.label for each in result.lamps] == ["spot", "spot_2"]
+    assert result.areas[0].simulated.mean == pytest.approx(90, rel=2e-3)
+    monkeypatch.setattr(design, "_MAX_COUNT", 4)
+    weak = dataclasses.replace(lamp(even, 0, 0), lumens=1.0)
+    with pytest.raises(LumitreeError, match=r"4 lamps reach .*% of the targets"):
+        lumitree.design(ROOM, [weak], planes=[plane], count=True)
+
+
+def test_lamps_do_not_move_into_each_other(mi, even):
+    """The best place of both lamps is one."""
+    plane = lumitree.TaskPlane((0, 0, 0), extent=(0.2, 0.2), spacing=0.1, minimum=75)
+    lamps = [
+        dataclasses.replace(lamp(even, x, 0, 2000), size=0.3, label=f"lamp{x}") for x in (-0.5, 0.4)
+    ]
+    result = lumitree.design(
+        ROOM, lamps, planes=[plane], move={"*": "x"}, region=(-1, 1, -1, 1, 3, 1)
+    )
+    (first, *_), (second, *_) = (each.placement.at for each in result.lamps)
+    assert second - first == pytest.approx(0.3, abs=0.03)
+
+
+def test_direct_illuminance_is_of_illuminance_and_has_derivatives(mi, even):
+    import drjit as dr
+
+    points = np.array([[0, 0, 0], [1, 0, 0.5], [-0.6, 0.2, 0.9]])
+    given = {"points": points, "normals": (0.1, 1, 0)}
+    scene = mi.load_dict(
+        ROOM
+        | {
+            "uneven": lumitree.shape(
+                uneven(), mi.ScalarTransform4f().translate([0.3, 1.5, 0.1]).scale(0.2)
+            ),
+            "even": lumitree.shape(even, mi.ScalarTransform4f().translate([1, 2, 1]).scale(0.01)),
+        }
+    )
+    found = lumitree.direct_illuminance(scene, **given)
+    places = [
+        lumitree.Placement(uneven(), at=(0.3, 1.5, 0.1), size=0.4),
+        lumitree.Placement(even, at=(1, 2, 1), size=0.02),
+    ]
+    expected = lumitree.illuminance(ROOM, places, **given, direct=True, error=0.005)
+    exact = lumitree.direct_illuminance(scene, **given, samples=1024)
+    assert np.array(exact) == pytest.approx(expected.direct, rel=0.01)
+    params = mi.traverse(scene)
+    key = next(key for key in params.keys() if key.startswith("uneven") and key.endswith("gain"))  # noqa: SIM118
+    params[key] = mi.Color3f(2.0)
+    params.update()
+    twice = np.array(lumitree.direct_illuminance(scene, **given)) - np.array(found)
+    dr.enable_grad(params[key])
+    params.update()
+    total = lumitree.direct_illuminance(scene, **given)
+    dr.backward(dr.sum(total))
+    assert sum(np.ravel(dr.grad(params[key]))) == pytest.approx(twice.sum(), rel=1e-3)

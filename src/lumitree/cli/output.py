@@ -60,7 +60,7 @@ def print_photograph(report: dict[str, Any]) -> None:
     ev, kelvin = report["ev"], report["white_balance"]
     balance = "off" if kelvin is None else f"{kelvin:,.0f} K"
     print_report({k: v for k, v in report.items() if k not in ("ev", "white_balance")})
-    print_lines({"exposure": f"EV {ev:.1f}, white balance {balance}"})
+    print_lines({"exposure": f"EV {ev:.1f} (less is brighter), white balance {balance}"})
 
 
 def print_report(report: dict[str, Any]) -> None:
@@ -165,7 +165,7 @@ def _with_error(values: dict[str, float | None], name: str) -> str:
 
 
 def _megabytes(value: int) -> str:
-    return f"{value / 1e6:.1f} MB"
+    return f"{value / 1e6:.1f} MB" if value >= 50_000 else f"{value / 1e3:.1f} kB"
 
 
 def _shown_value(name: str, value: Any) -> Any:

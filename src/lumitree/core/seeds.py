@@ -54,7 +54,7 @@ class Purpose(enum.IntEnum):
     CELLS = 28  # cells of a light field; draw 0: light paths, 1: which segments
     FIELD_RAYS = 29  # rays of a radiance field, from which its light field is made; step: batch
     # Root seeds of illuminance in a design; step: round; draw 1: of the last simulation. Draw 2:
-    # places in cells of light fields.
+    # places in cells of light fields; draw 3: of direct illuminance.
     DESIGN = 30
 
 

@@ -40,9 +40,12 @@ def read_again(path: str | os.PathLike[str]) -> IntensityDistribution | None:
 
 
 def details_of(path: str | os.PathLike[str]) -> Mapping[str, str]:
-    """How a photometric file states that it was made; empty for other files."""
+    """Electric power, and how a photometric file states that it was made; empty for others."""
     distribution = read_again(path) if photometric_suffix(path) in _READERS else None
-    return {} if distribution is None else distribution.details
+    if distribution is None:
+        return {}
+    power = {} if distribution.watts is None else {"watts": f"{distribution.watts:g}"}
+    return {**power, **distribution.details}
 
 
 def bake_file(path: str | os.PathLike[str], config: LightFieldConfig) -> Asset:

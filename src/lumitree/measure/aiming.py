@@ -11,6 +11,7 @@ the round was an improvement.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 
 import mitsuba as mi
@@ -174,7 +175,8 @@ class Aim:
                 inside = self.region[:, None] + np.array([reach, np.negative(reach)]) - poses.centre
                 low[:, :3] = np.maximum(low[:, :3], np.minimum(inside[0], 0))
                 high[:, :3] = np.minimum(high[:, :3], np.maximum(inside[1], 0))
-                *_, steps = best_step(sloped, dimmers, low[self.axes], high[self.axes])
+                limits = low[self.axes], high[self.axes], self._apart(poses, reach)
+                *_, steps = best_step(sloped, dimmers, *limits)
                 there = poses.stepped(self.axes, steps)
                 tried = model.tasks(there)
                 found, tried_levels, _ = best_step(tried, dimmers, _NOWHERE, _NOWHERE)
@@ -183,6 +185,19 @@ class Aim:
                     break
                 trust *= _SHRINK
         return poses
+
+    def _apart(self, poses: _Poses, reach: list[_Array]) -> tuple[_Array, _Array]:
+        """Rows [P, K] of steps, and limits, with which lamps do not move into each other."""
+        rows, limits = [], []
+        for first, second in itertools.combinations(range(len(reach)), 2):
+            between = poses.centre[first] - poses.centre[second]
+            distance = float(np.linalg.norm(between))
+            if distance and self.axes[[first, second], :3].any():
+                nearer = np.zeros(self.axes.shape)
+                nearer[first, :3], nearer[second, :3] = -between / distance, between / distance
+                rows.append(nearer[self.axes])
+                limits.append(max(distance - reach[first].max() - reach[second].max(), 0.0))
+        return np.reshape(rows, (len(rows), int(self.axes.sum()))), np.array(limits)
 
     def _at(self, poses: _Poses) -> list[Placement]:
         """Placements at poses; lamps that may not move stay as they are."""

@@ -2,7 +2,7 @@
 
 import dataclasses
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,23 +11,38 @@ from numpy.typing import NDArray
 
 from lumitree.core.arguments import check_count, check_items, check_range, metres_of
 from lumitree.core.backend import in_turn, load_rgb
-from lumitree.core.files import FilePath, check_writable, write_bytes, write_json
+from lumitree.core.files import FilePath, write_bytes, write_json
 from lumitree.core.photometry import luminance
 from lumitree.core.progress import ProgressCallback, show_progress
 from lumitree.core.results import Result, Stopwatch
 from lumitree.core.seeds import MAX_SEED, Purpose, SeedStream, check_seed
 from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown, shown_names
 from lumitree.lamp.parts import matching
-from lumitree.measure.dimming import Dimmers, TaskPlane, dim_levels, equal_level, tasks_of
-from lumitree.measure.illuminance import IlluminanceResult, illuminance
+from lumitree.measure.dimming import (
+    Dimmers,
+    TaskPlane,
+    dim_levels,
+    equal_level,
+    reachable,
+    tasks_of,
+)
+from lumitree.measure.illuminance import (
+    IlluminanceResult,
+    check_illuminance_output,
+    illuminance,
+)
 from lumitree.measure.receivers import AreaFigures
 from lumitree.rendering.placement import Placement, write_placements
+from lumitree.rendering.render import layer_names
 
 if TYPE_CHECKING:
     from lumitree.measure.figures import Plan
 
 OUTPUTS = (".toml", ".json", ".png", ".pdf")
 _MAX_STEPS = 1000
+# Most lamps of `count`, longer over shorter side of a cell of its grid, and least part of the
+# targets by which the next number is estimated.
+_MAX_COUNT, _LONGEST, _LEAST_PART = 256, 2.0, 0.25
 # Range of `brightest`: a lamp is dimmed, or replaced by a brighter one.
 _BRIGHTEST = 1e-3, 1e3
 
@@ -37,7 +52,7 @@ class DesignedLamp:
     """A lamp of a design.
 
     Attributes:
-        label: its name.
+        label: its name; of an array, the name of its layer in `render`.
         level: dim level; 1 is its light as it was placed.
         lumens: luminous flux at this level, lm.
         placement: where it is, with its light at this level.
@@ -106,7 +121,7 @@ class DesignResult(Result):
         Raises:
             LumitreeError: the name has another ending, or the file cannot be written.
         """
-        check_design_output(path)
+        check_illuminance_output(path, OUTPUTS)
         kind = Path(path).suffix.lower()
         if kind == ".toml":
             write_placements(path, self.placements)
@@ -146,6 +161,7 @@ def design(
     turn: Sequence[str] = (),
     free: Sequence[str] = (),
     region: tuple[float, float, float, float, float, float] | None = None,
+    count: bool = False,
     watts: Mapping[str, float] | None = None,
     brightest: float = 1.0,
     steps: int | None = None,
@@ -176,6 +192,9 @@ def design(
         free: patterns of labels of lamps that may move along all axes, and turn.
         region: smallest x, y, z and largest x, y, z of the boxes of lamps that move, scene units;
             default: the bounding box of the scene. Furniture in it is not avoided.
+        count: whether to repeat the one lamp that is placed on a grid, by the smallest number that
+            reaches the targets. The grid is evenly spread along x and z over the region, or over
+            the planes, at the height of the lamp.
         watts: electric power at dim level 1, W, by patterns of labels. The power is then minimised,
             and not the luminous flux; it is proportional to the level.
         brightest: largest dim level, 0.001 to 1,000.
@@ -216,15 +235,15 @@ def design(
     check_seed(seed)
     if not any(plane.target or plane.minimum for plane in planes):
         raise LumitreeError("no plane has a target; give one its target or its minimum, in lux")
-    lamps = labelled(placements)
+    lamps = _named(placements)
     labels = [str(lamp.label) for lamp in lamps]
     if not lamps or not all(lamp.is_baked for lamp in lamps):
         raise LumitreeError(
             "there are no lamps, or explicit ones, which cannot be dimmed; place baked lamps or "
             "photometric files"
         )
-    groups = np.unique(_groups(labels, group), return_inverse=True)[1]
-    axes = _axes(labels, move or {}, turn, free)
+    if count and (len(lamps) != 1 or lamps[0].at is None):
+        raise LumitreeError("count is for one lamp; place one, and say by at how high it hangs")
     load_rgb(variant)
     from lumitree.measure.aiming import Aim
     from lumitree.rendering.scene import load_without_camera, open_placements
@@ -235,21 +254,28 @@ def design(
     watch = Stopwatch()
     with watch.stage("lamps"):
         room, _ = load_without_camera(scene)
+
+        def simulate(lamps: Sequence[Placement], number: int = 0) -> IlluminanceResult:
+            root = SeedStream(Purpose.DESIGN, number).seed(seed) & MAX_SEED
+            return illuminance(room, lamps, **options, by_lamp=True, seed=root)
+
+        if count:
+            points = np.concatenate([plane.points()[0] for plane in planes])
+            box = [points.min(axis=0), points.max(axis=0)] if region is None else region
+            box = np.array(box, np.float64).reshape(2, 3)
+            lamps = _counted(lamps[0], box, planes, simulate, brightest)
+            labels = [str(lamp.label) for lamp in lamps]
+        groups = np.unique(_groups(labels, group), return_inverse=True)[1]
+        axes = _axes(labels, move or {}, turn, free)
         opened = open_placements(lamps, metres)
         lumens = np.array([float(luminance(each.watts)) for each in opened])
         cost = lumens if watts is None else _powers(watts, labels)
         dimmers = Dimmers(groups, cost, brightest, steps)
-        found = before = illuminance(room, lamps, **options, by_lamp=True, seed=seed)
+        found = before = simulate(lamps)
     if axes.any():
-
-        def simulate(moved: Sequence[Placement], number: int) -> IlluminanceResult:
-            root = SeedStream(Purpose.DESIGN, number).seed(seed) & MAX_SEED
-            with warnings.catch_warnings():
-                # The last simulation warns of what is left.
-                warnings.simplefilter("ignore", LumitreeWarning)
-                return illuminance(room, moved, **options, by_lamp=True, seed=root)
-
-        with watch.stage("places"):
+        with watch.stage("places"), warnings.catch_warnings():
+            # The last simulation warns of what is left.
+            warnings.simplefilter("ignore", LumitreeWarning)
             sides = (room.bbox().min, room.bbox().max) if region is None else region
             box = np.array(sides, np.float64).reshape(2, 3)
             lamps, found = Aim(planes, opened, axes, box, dimmers, simulate, seed).search(before)
@@ -282,27 +308,17 @@ def design(
     )
 
 
-def check_design_output(path: FilePath) -> None:
-    """Refuse a file that `DesignResult.save` cannot write."""
-    if Path(path).suffix.lower() not in OUTPUTS:
-        name = shown(repr(str(path)), 300)
-        raise LumitreeError(f"output {name} does not end in one of {', '.join(OUTPUTS)}")
-    check_writable(path)
-
-
-def labelled(placements: Sequence[Placement]) -> list[Placement]:
-    """All lamps of placements, each with a label of its own."""
-    found: dict[str, Placement] = {}
-    for placement in placements:
-        lamps, start = placement.each(), placement.label or Path(placement.name).stem
-        for number, lamp in enumerate(lamps, 1):
-            label = start if len(lamps) == 1 else f"{start} {number}"
-            again = 1
-            while label in found:
-                again += 1
-                label = f"{start} {again}"
-            found[label] = dataclasses.replace(lamp, label=label)
-    return list(found.values())
+def _named(placements: Sequence[Placement]) -> list[Placement]:
+    """All lamps of placements, each with a label of its own: else with the name of its layer."""
+    lamps = [lamp for placement in placements for lamp in placement.each()]
+    given, names = [lamp.label for lamp in lamps], layer_names(lamps)[1:]
+    labels = [
+        label if label and given.count(label) == 1 and label not in names else name
+        for label, name in zip(given, names, strict=True)
+    ]
+    return [
+        dataclasses.replace(lamp, label=label) for lamp, label in zip(lamps, labels, strict=True)
+    ]
 
 
 def _matches(option: str, pattern: str, labels: Sequence[str]) -> NDArray[np.bool_]:
@@ -329,6 +345,49 @@ def _powers(watts: Mapping[str, float], labels: Sequence[str]) -> NDArray[np.flo
         missing = [label for label, value in zip(labels, found, strict=True) if np.isnan(value)]
         raise LumitreeError(f"watts are not given for {shown_names(missing)}; give all or none")
     return found
+
+
+def _counted(
+    lamp: Placement,
+    box: NDArray[np.float64],
+    planes: Sequence[TaskPlane],
+    simulate: Callable[[Sequence[Placement]], IlluminanceResult],
+    brightest: float,
+) -> list[Placement]:
+    """The lamps of the smallest grid, along x and z over a box [2, 3], that reaches the targets."""
+    grids = dict(_grids(lamp, box))
+    numbers, index, short, enough = list(grids), 0, -1, len(grids)
+    while enough - short > 1:
+        number = numbers[index]
+        tasks = tasks_of(planes, simulate(grids[number]))
+        part = reachable(tasks, Dimmers(np.arange(number), np.ones(number), brightest))
+        if part >= 1 - 1e-6:
+            enough, index = index, index - 1
+            continue
+        short = index
+        if index == len(numbers) - 1:
+            raise LumitreeError(
+                f"{number} lamps reach {part:.0%} of the targets, and more are not tried; use "
+                "brighter lamps, or less uniformity"
+            )
+        estimate = number / max(part, _LEAST_PART)
+        larger = [each for each in range(index + 1, enough) if numbers[each] >= estimate]
+        index = larger[0] if larger else enough - 1
+    return grids[numbers[enough]]
+
+
+def _grids(lamp: Placement, box: NDArray[np.float64]) -> Iterator[tuple[int, list[Placement]]]:
+    """Numbers of lamps, and the lamps in cells of a box that are about as long as wide."""
+    assert lamp.at is not None
+    (x, _, z), sides = box.mean(axis=0).tolist(), np.maximum(np.ptp(box, axis=0)[[0, 2]], 1e-6)
+    for number in range(1, _MAX_COUNT + 1):
+        shapes = [(each, number // each) for each in range(1, number + 1) if number % each == 0]
+        ratios = [np.ptp(np.log(sides / shape)) for shape in shapes]
+        best = int(np.argmin(ratios))
+        if number == 1 or ratios[best] <= np.log(_LONGEST):
+            pitch, at = tuple((sides / shapes[best]).tolist()), (x, lamp.at[1], z)
+            array = dataclasses.replace(lamp, at=at, grid=shapes[best], pitch=pitch)
+            yield number, _named([array])
 
 
 def _axes(

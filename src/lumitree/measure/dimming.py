@@ -14,7 +14,6 @@ program is solved a few times, with the errors at the levels before.
 from __future__ import annotations
 
 import dataclasses
-import math
 import warnings
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, cast
@@ -39,6 +38,8 @@ _GAP = 2e-3
 _NODES = 20_000
 # Halvings of the interval in which the largest uniformity is searched for.
 _HALVINGS = 12
+# So large a part of the targets is all of them.
+_ALL = 1 - 1e-6
 
 _Array = NDArray[np.float64]
 
@@ -184,34 +185,35 @@ def dim_levels(tasks: Sequence[Task], dimmers: Dimmers, margin: float) -> _Array
     Raises:
         LumitreeError: the targets cannot be reached; the message has what can.
     """
-    levels, found, errors = None, None, [np.zeros(len(task.fixed)) for task in tasks]
+    levels = settings = None
+    lamps, errors = dimmers.lamps, [np.zeros(len(task.fixed)) for task in tasks]
+    high = np.full(lamps.shape[1], dimmers.top)
+    whole = np.full(len(high), int(dimmers.steps is not None))
     for _ in range(_ROUNDS):
-        levels = _cheapest(tasks, dimmers, [margin * error for error in errors])
-        if levels is None:
+        found = _Constraints.of(tasks, [margin * error for error in errors])
+        rows, limit = found.rows @ lamps, found.limit - found.needed
+        settings = _solve(dimmers.cost @ lamps, rows, limit, 0 * high, high, whole)
+        if settings is None:
             break
-        found, errors = levels, [task.error(levels) for task in tasks]
-    if found is None:
-        raise LumitreeError(_shortage(tasks, dimmers))
+        levels = lamps @ np.clip(settings, 0, high)
+        errors = [task.error(levels) for task in tasks]
     if levels is None:
+        raise LumitreeError(_shortage(tasks, dimmers))
+    if settings is None:
         warnings.warn(
             "the targets are reached only without the margin for the errors of the illuminance; a "
             "smaller error needs less of it",
             LumitreeWarning,
             stacklevel=3,
         )
-    return found
+    return levels
 
 
 def equal_level(tasks: Sequence[Task], levels: _Array) -> float:
     """The least common level of all lamps whose smallest illuminance is as large on each plane."""
-    everything = np.ones_like(levels)
-    ratios = [
-        (task.lux(levels).min() - task.fixed.min())
-        / (task.lux(everything).min() - task.fixed.min())
-        for task in tasks
-        if task.lux(everything).min() > task.fixed.min()
-    ]
-    return max(ratios, default=math.nan)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratios = [(task.lux(levels).min() - task.fixed) / task.lamps.sum(axis=1) for task in tasks]
+    return max(0.0, float(np.nanmax(np.concatenate(ratios))))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -242,26 +244,19 @@ class _Constraints:
         return cls(*map(np.concatenate, zip(*found, strict=True)))
 
 
-def _cheapest(
-    tasks: Sequence[Task], dimmers: Dimmers, margins: Sequence[_Array | float]
-) -> _Array | None:
-    """Dim levels [L] of least cost; None if there are none."""
-    found, lamps = _Constraints.of(tasks, margins), dimmers.lamps
-    high = np.full(lamps.shape[1], dimmers.top)
-    rows, limit = found.rows @ lamps, found.limit - found.needed
-    whole = np.full(len(high), int(dimmers.steps is not None))
-    settings = _solve(dimmers.cost @ lamps, rows, limit, np.zeros(len(high)), high, whole)
-    return None if settings is None else lamps @ np.clip(settings, 0, high)
-
-
 def best_step(
-    tasks: Sequence[Task], dimmers: Dimmers, low: _Array, high: _Array
+    tasks: Sequence[Task],
+    dimmers: Dimmers,
+    low: _Array,
+    high: _Array,
+    apart: tuple[_Array, _Array] | None = None,
 ) -> tuple[float, _Array, _Array]:
     """Dim levels, and steps of poses, that are best where the targets may be out of reach.
 
     Args:
         tasks: with a column for each step beside the lamps'.
         low, high: [K] limits of the steps.
+        apart: rows [P, K] of the steps, and limits [P] that they may not exceed.
 
     Returns:
         Part of the whole cost, and ten times the largest part that lacks of a target; levels [L];
@@ -275,19 +270,23 @@ def best_step(
     cost = np.concatenate([dimmers.cost @ lamps / dimmers.cost.sum(), 0 * low, [_LACK]])
     low = np.concatenate([np.zeros(settings), low, [0]])
     high = np.concatenate([np.full(settings, smooth.top), high, [np.inf]])
-    best = _solve(cost, rows, (found.limit - found.needed)[some], low, high)
+    limit = (found.limit - found.needed)[some]
+    if apart is not None:
+        rows = np.vstack([rows, np.pad(apart[0], ((0, 0), (settings, 1)))])
+        limit = np.vstack([limit, apart[1][:, None]])
+    best = _solve(cost, rows, limit, low, high)
     assert best is not None
     return float(cost @ best), lamps @ best[:settings], best[settings:-1]
 
 
-def _fraction(tasks: Sequence[Task], dimmers: Dimmers) -> float:
+def reachable(tasks: Sequence[Task], dimmers: Dimmers) -> float:
     """The largest part of all targets that can be reached at once, at most 1."""
     found, smooth = _Constraints.of(tasks), dataclasses.replace(dimmers, steps=None)
     rows = np.hstack([found.rows @ smooth.lamps, found.needed])
     high = np.full(rows.shape[1], smooth.top)
     cost, high[-1] = np.zeros(len(high)), 1.0
     cost[-1] = -1.0
-    best = _solve(cost, rows, found.limit, np.zeros(len(high)), high)
+    best = _solve(cost, rows, found.limit, 0 * high, high)
     return 0.0 if best is None else float(best[-1])
 
 
@@ -316,24 +315,29 @@ def _shortage(tasks: Sequence[Task], dimmers: Dimmers) -> str:
     """The message for targets that cannot be reached: which plane cannot get how much."""
     parts = []
     for task in tasks:
-        part = _fraction([task], dimmers)
-        if part >= 1 - 1e-6:
+        part = reachable([task], dimmers)
+        if part >= _ALL:
             continue
         name, plane = shown(task.name, 100), task.plane
         even = dataclasses.replace(plane, uniformity=0.0)
-        most = _fraction([dataclasses.replace(task, plane=even)], dimmers)
-        if most < 1 - 1e-6:
+        most = reachable([dataclasses.replace(task, plane=even)], dimmers)
+        if most < _ALL:
             parts.append(f"{name} gets at most {_amounts(plane, most)}")
         else:
-            ratio = _largest_uniformity(task, dimmers)
+            ratio, high = 0.0, plane.uniformity
+            for _ in range(_HALVINGS):
+                middle = (ratio + high) / 2
+                uneven = dataclasses.replace(plane, uniformity=middle)
+                possible = reachable([dataclasses.replace(task, plane=uneven)], dimmers) >= _ALL
+                ratio, high = (middle, high) if possible else (ratio, middle)
             parts.append(
                 f"{name} gets at most {_amounts(plane, part)} with the uniformity "
                 f"{plane.uniformity:g}, or all of it with the uniformity {ratio:.2g}"
             )
     if parts:
         return f"the targets cannot be reached: {'; '.join(parts)}"
-    part = _fraction(tasks, dimmers)
-    if part >= 1 - 1e-6:
+    part = reachable(tasks, dimmers)
+    if part >= _ALL:
         return f"{dimmers.steps} dimming steps are too coarse for the targets; give more"
     each = "; ".join(
         f"{_amounts(task.plane, part)} for {shown(task.name, 100)}"
@@ -348,16 +352,3 @@ def _amounts(plane: TaskPlane, part: float) -> str:
     needed = ((plane.target, ""), (plane.minimum, " at each point"))
     texts = [f"{part * lux:.4g} of {lux:g} lx{where}" for lux, where in needed if lux]
     return " and ".join(texts) or "none"
-
-
-def _largest_uniformity(task: Task, dimmers: Dimmers) -> float:
-    """The largest uniformity with which a plane has its target."""
-    low, high = 0.0, task.plane.uniformity
-    for _ in range(_HALVINGS):
-        middle = (low + high) / 2
-        plane = dataclasses.replace(task.plane, uniformity=middle)
-        if _fraction([dataclasses.replace(task, plane=plane)], dimmers) >= 1 - 1e-6:
-            low = middle
-        else:
-            high = middle
-    return low

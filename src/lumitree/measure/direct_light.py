@@ -13,16 +13,55 @@ from collections.abc import Sequence
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from lumitree.core.arguments import check_count
+from lumitree.core.backend import in_turn
 from lumitree.core.photometry import LUMA, LUMENS_PER_WATT
+from lumitree.core.seeds import Purpose, SeedStream, check_seed
 from lumitree.errors import LumitreeError
 from lumitree.measure.illuminance_estimate import receivers
-from lumitree.rendering.emitter import PlacedLamp
+from lumitree.measure.receivers import given_points
+from lumitree.rendering.emitter import PlacedLamp, lamps_of
 
 _Array = NDArray[np.float64]
 # Moves along x, y and z, and turns about them.
-AXES = 6
+_AXES = 6
+_MAX_SAMPLES = 1 << 10
+
+
+@in_turn
+def direct_illuminance(
+    scene: mi.Scene, points: ArrayLike, normals: ArrayLike, *, samples: int = 16, seed: int = 0
+) -> mi.Float:
+    """Direct illuminance of points by the baked lamps of a scene, differentiable by Dr.Jit.
+
+    It is the direct part of `illuminance` for lamps, without shadows: the light of all cells of
+    each light field, straight or bent. Its derivatives are by the parameters of the lamps that
+    `mitsuba.traverse` lists. Other emitters do not count, nor do lamps for points inside their
+    boxes.
+
+    Args:
+        scene: with lamps, as `lumitree.shape` makes them.
+        points: [N, 3], scene coordinates.
+        normals: [N, 3] or [3] normals of the points, of any length.
+        samples: random points of each cell, for each receiver, 1 to 1,024.
+        seed: of these points, 0 to 2³¹ - 1; equal seeds have equal ones, so that differences are
+            smooth.
+
+    Returns:
+        Illuminance [N], lx.
+
+    Raises:
+        LumitreeError: an argument is out of range, or a lamp has no light field.
+    """
+    check_count("samples", samples, 1, _MAX_SAMPLES)
+    position, normal = given_points(points, normals)
+    total = dr.zeros(mi.Float, len(position))
+    for number, lamp in lamps_of(scene.emitters()).items():
+        part = SeedStream(Purpose.DESIGN, draw=3).seed(check_seed(seed), number)
+        total += direct_lux(lamp, position, normal, samples, part)
+    return total
 
 
 def direct_lux(
@@ -81,8 +120,8 @@ def slope(
     samples: int,
     seed: int,
 ) -> _Array:
-    """Derivative [N] of `direct_lux`, by a move or a turn of `AXES` of a lamp that is `moved`."""
-    step = [mi.Float(0) for _ in range(AXES)]
+    """Derivative [N] of `direct_lux` by a step along, or about, an axis of a lamp at a place."""
+    step = [mi.Float(0) for _ in range(_AXES)]
     dr.enable_grad(step[axis])
     lux = direct_lux(moved(lamp, centre, turn, step), points, normals, samples, seed)
     dr.forward(step[axis])

@@ -168,7 +168,8 @@ def illuminance(
 
     All lights of the scene count, with reflections of any number. Direct light from the light
     fields of baked luminaires is summed, and only its shadows are sampled. Straight light of
-    luminaires with geometry is sampled, with shadow rays to their emitters.
+    luminaires with geometry is sampled, with shadow rays to their emitters. `direct_illuminance`
+    has derivatives by the lamps.
 
     Args:
         scene: as for `render`, but it needs no camera, and its integrator does not count. It may
@@ -282,11 +283,11 @@ def illuminance(
     )
 
 
-def check_illuminance_output(path: FilePath) -> None:
-    """Refuse a file that `IlluminanceResult.save` cannot write."""
-    if Path(path).suffix.lower() not in OUTPUTS:
+def check_illuminance_output(path: FilePath, endings: Sequence[str] = OUTPUTS) -> None:
+    """Refuse a file that a result cannot write, by default `IlluminanceResult.save`."""
+    if Path(path).suffix.lower() not in endings:
         name = shown(repr(str(path)), 300)
-        raise LumitreeError(f"output {name} does not end in one of {', '.join(OUTPUTS)}")
+        raise LumitreeError(f"output {name} does not end in one of {', '.join(endings)}")
     check_writable(path)
 
 

@@ -80,7 +80,7 @@ class NearFieldTest:
 
     def __init__(self, size: float, brightest: tuple[float, float], batches: int) -> None:
         self._size = size
-        self._directions = (*DIRECTIONS, ("largest intensity", *brightest))
+        self._directions = (*DIRECTIONS, ("towards the largest intensity", *brightest))
         self._axes = np.array([direction_of(c, gamma) for _, c, gamma in self._directions])
         # Flux of each batch in each cone: of the far field, and through each sphere.
         self._batches = np.zeros((batches, 1 + len(DISTANCES), len(self._directions)))

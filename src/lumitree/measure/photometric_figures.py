@@ -460,7 +460,9 @@ def figure_rows(
             ("flux of the bare emitters", f"{figures.emitted_lumens} lm"),
             ("light output ratio", f"{figures.light_output_ratio.percent} %"),
         ]
-    if figures.watts is not None:
+    if figures.watts is None:
+        rows.append(("power", "not known: no watts are stated"))
+    else:
         rows += [("power", f"{figures.watts:g} W"), ("efficacy", f"{figures.efficacy} lm/W")]
     rows += [
         (
@@ -505,7 +507,7 @@ def _colour_rows(figures: PhotometricFigures) -> list[tuple[str, str]]:
     """Rows of the bare emitters' spectrum, or one that says why there are none."""
     colour, share = figures.emitted_colour, figures.spectrum_share
     if colour is None:
-        why = "the emitters have RGB colours, no spectrum"
+        why = "no spectrum of the emitters is stated"
         if share > 0:
             why = f"emitters with {1 - share:.1%} of the flux have RGB colours, no spectrum"
         return [("colour rendering", f"not known: {why}")]

@@ -310,7 +310,7 @@ def collect(
         for each, shapes in zip(surfaces, chosen, strict=True)
     ]
     if points is not None:
-        areas.append(Receivers("points", *_given(points, normals)))
+        areas.append(Receivers("points", *given_points(points, normals)))
     elif normals is not None:
         raise LumitreeError("there are normals but no points; give both")
     if not areas:
@@ -319,7 +319,7 @@ def collect(
     return areas
 
 
-def _given(
+def given_points(
     points: ArrayLike, normals: ArrayLike | None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Points and normals [N, 3] that are given as arrays."""
