@@ -126,7 +126,7 @@ def dimmer_page(
         "step": coded.step,
         "unit": 0.5 / _STEPS,
         "least": _LEAST,
-        "largest": int(np.ceil(2 * _STEPS * _code(_LARGEST))),
+        "largest": int(np.ceil(2 * _STEPS * _code(np.array(_LARGEST)))),
         "columns": 2 * len(columns),
         "lamps": [
             {"column": columns.get(name, -1), **each}
@@ -247,7 +247,7 @@ def _filtered(
         yield np.where(kept, gaussian_filter(kept * layer, window), layer), code
 
 
-def _code(radiance: Any) -> Any:
+def _code(radiance: NDArray[np.floating]) -> NDArray[np.floating]:
     """u of radiance relative to white."""
     return np.log2(1 + np.minimum(radiance, _LARGEST) / _LEAST)
 
