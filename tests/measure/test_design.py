@@ -242,3 +242,26 @@ def test_direct_illuminance_is_of_illuminance_and_has_derivatives(mi, even):
     total = lumitree.direct_illuminance(scene, **given)
     dr.backward(dr.sum(total))
     assert sum(np.ravel(dr.grad(params[key]))) == pytest.approx(twice.sum(), rel=1e-3)
+
+
+def test_direct_illuminance_has_derivatives_by_the_pose(mi):
+    import drjit as dr
+
+    scene = mi.load_dict(ROOM | {"lamp": lumitree.shape(uneven())})
+    params = mi.traverse(scene)
+
+    def total(step, attached=False):
+        x = mi.Float(step)
+        if attached:
+            dr.enable_grad(x)
+        pose = mi.Transform4f().translate([0.3, 1.5, 0.1]).rotate([0.6, 0.8, 0], 30 * x).scale(0.5)
+        params["lamp.emitter.to_world"] = mi.Transform4f().translate([0, x, 0]) @ pose
+        params.update()
+        points = [[0, 0, 0], [1, 0, 0.5], [-0.6, 0.2, 0.9]]
+        return x, dr.sum(lumitree.direct_illuminance(scene, points, (0.1, 1, 0)))
+
+    (_, high), (_, low) = total(0.21), total(0.19)
+    x, found = total(0.2, attached=True)
+    dr.backward(found)
+    expected = (float(high[0]) - float(low[0])) / 0.02
+    assert float(dr.grad(x)[0]) == pytest.approx(expected, rel=0.01)

@@ -532,7 +532,8 @@ class DeviceLight(CellLight):
         """
         first, end = (parameter(mi.UInt32, each) for each in self._first_cells[level : level + 2])
         total, cell = mi.Color3f(0), dr.zeros(mi.UInt32, dr.width(x)) + first
-        while active & (cell < end):
+        # A sum, for derivatives in reverse.
+        while dr.hint(active & (cell < end), max_iterations=-1):
             within = mi.Point3f(random.next_float32(), random.next_float32(), random.next_float32())
             point, _ = self.cells.point(cell, within, active)
             offset = mi.Vector3f(point - x)

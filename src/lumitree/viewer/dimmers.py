@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter, median_filter
 
 from lumitree.asset.array_stream import Arrays
@@ -126,7 +126,7 @@ def dimmer_page(
         "step": coded.step,
         "unit": 0.5 / _STEPS,
         "least": _LEAST,
-        "largest": int(np.ceil(2 * _STEPS * _code(np.array(_LARGEST)))),
+        "largest": int(np.ceil(2 * _STEPS * _code(_LARGEST))),
         "columns": 2 * len(columns),
         "lamps": [
             {"column": columns.get(name, -1), **each}
@@ -247,9 +247,9 @@ def _filtered(
         yield np.where(kept, gaussian_filter(kept * layer, window), layer), code
 
 
-def _code(radiance: NDArray[np.floating]) -> NDArray[np.floating]:
+def _code(radiance: ArrayLike) -> NDArray[np.floating]:
     """u of radiance relative to white."""
-    return np.log2(1 + np.minimum(radiance, _LARGEST) / _LEAST)
+    return np.log2(1 + np.minimum(np.asarray(radiance), _LARGEST) / _LEAST)
 
 
 def _differences(codes: NDArray[np.int32]) -> Iterator[NDArray[np.int32]]:
