@@ -19,4 +19,4 @@ def test_examples(tmp_path):
         )
         assert result.returncode == 0, result.stderr
     names = set(os.listdir(tmp_path))
-    assert {"ball.lumitree", "two_balls.png", "comparison.png"} <= names
+    assert {"ball.lumitree", "two_balls.png", "comparison.png", "desk_lamp_fit.png"} <= names

@@ -26,14 +26,14 @@ LINES = {
     "many": 620,
     "measure": 6_560,
     "octree": 1_050,
-    "rendering": 9_570,
+    "rendering": 9_940,
     "trace": 1_900,
     "viewer": 1_940,
 }
 FILES = 222
 OTHERS = {
-    "lines of tests": 43_090,
-    "lines of benchmarks": 9_850,
+    "lines of tests": 43_230,
+    "lines of benchmarks": 10_000,
     "words of docs by hand": 45_000,
     "lines of README.md": 90,
     "files that use the word gain": 13,

@@ -78,4 +78,4 @@ def denoised_image(
 
     lit = np.ascontiguousarray(image, np.float32)[None]
     none = np.zeros_like(lit)
-    return denoised(Recorded(none, none, lit, albedo, normal)).lit[0]
+    return denoised(Recorded(none, none, lit, none[..., 0], albedo, normal)).lit[0]

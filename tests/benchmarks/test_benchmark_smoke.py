@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import lumitree
-from benchmarks import finished, light_field, near_field, radiance
+from benchmarks import design, finished, light_field, near_field, radiance
 from benchmarks.__main__ import main, names
 from benchmarks.common.lamps import file_name
 from benchmarks.common.setting import command_line
@@ -243,3 +243,15 @@ def test_finished(ran, monkeypatch):
     assert all(each["points"][0]["seconds"] > 0.1 for each in row["methods"].values())
     assert Path("out/finished-small.png").stat().st_size > 1000
     assert "| small | ./lamp.xml |" in page
+
+
+@pytest.mark.slow
+def test_design(ran, monkeypatch):
+    lumitree.save(lamp(), "small.lumitree")
+    coarse = ((0, 0.9, 0), (1, 1), 0.5, 1e-3), ((0, 1, 0), (3, 3), 1.5, 1e-3)
+    monkeypatch.setitem(design.ROOMS, "demo", (*coarse, ((0, 2, 0), (2, 1), (1, 1), 0.2)))
+    found, page = ran("design", "small.lumitree", "demo", "--error", "0.1")
+    dimmed, moved = found["rooms"]["demo"]
+    assert dimmed["lamps"] == moved["lamps"] == 2
+    assert dimmed["mean_difference"] < 0.3
+    assert "| demo | moved | 2 |" in page

@@ -61,7 +61,7 @@ def test_lamps_of_a_group_have_one_level():
 
 
 def test_one_level_for_all_has_the_same_minimum():
-    each = task(fixed=0.0, minimum=20)
+    each = dataclasses.replace(task(minimum=30), fixed=np.linspace(0, 40, 30))
     levels = dim_levels([each], dimmers(), 0.0)
     equal = equal_level([each], levels)
     assert each.lux(np.full(3, equal)).min() == pytest.approx(each.lux(levels).min())

@@ -138,10 +138,11 @@ def test_another_gain_needs_no_reload_and_no_new_kernel(mi, asset):
 def test_only_parameters_that_a_lamp_follows_are_shown(mi, appearance):
     asset = with_geometry(small_geometry(), LocalFrame(np.ones(3), np.eye(4)))
     params = mi.traverse(mi.load_dict(lumitree.shape(asset, appearance="field")))
-    assert set(params.keys()) == {"emitter.gain", "emitter.sampling_weight"}
+    names = ("gain", "to_world", "sampling_weight")
+    assert set(params.keys()) == {f"emitter.{name}" for name in names}
     scene = scene_with(mi, asset, appearance=appearance)
     lamp = [key for key in mi.traverse(scene).keys() if key.startswith("lamp.")]  # noqa: SIM118
-    assert lamp == ["lamp.emitter.sampling_weight", NAME]
+    assert lamp == ["lamp.emitter.sampling_weight", NAME, "lamp.emitter.to_world"]
 
 
 def test_gradients_of_lamps_that_show_geometry_say_nothing(mi, capfd):

@@ -66,7 +66,7 @@ def test_layers_add_up_to_the_image(room, lamps, tmp_path, sensor):
     plain = render(room, lamps, spp=64)
     result = render(room, lamps, spp=64, layers=True)
     result.save_layers(path)
-    layers = read_exr(path)
+    layers = {name: light for name, light in read_exr(path).items() if "." not in name}
     assert all(np.array_equal(layers[name], light) for name, light in result.layers.items())
     assert sorted(layers) == ["lamp", "room", "room_2"]
     assert sum(layers.values()) == pytest.approx(result.pixels, abs=1e-4)
@@ -409,7 +409,8 @@ def test_long_labels_are_cut_to_what_a_file_holds(room, lamps, tmp_path):
     long = [dataclasses.replace(each, label="ä" * 200) for each in lamps]
     render(room, long, spp=1, layers=True).save_layers(tmp_path / "layers.exr")
     layers = read_exr(tmp_path / "layers.exr")
-    assert sorted(layers) == ["room", "ä" * 100, "ä" * 100 + "_2"]
+    names = {name.partition(".")[0] for name in layers}
+    assert sorted(names) == ["room", "ä" * 100, "ä" * 100 + "_2"]
 
 
 @pytest.mark.parametrize("by_lamp", [None, False])

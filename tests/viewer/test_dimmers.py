@@ -129,7 +129,8 @@ def test_the_page_has_what_the_photograph_needs(mi, tmp_path, monkeypatch):
     # The colour of the flux, and without it the colour of the layer.
     assert np.array(desk["colour"]) / desk["colour"][0] == pytest.approx([1, 2 / 3, 0.3], rel=1e-4)
     assert hall["colour"][0] > hall["colour"][1] > hall["colour"][2]
-    assert desk["placement"] == 'asset = "lamp.lumitree"\nat = [1, 2.5, 0]\nsize = 0.5\n'
+    table = '[lamps."desk"]\nasset = "lamp.lumitree"\nat = [1, 2.5, 0]\nsize = 0.5\n'
+    assert desk["placement"] == table
     assert "bake it" in hall["placement"]
     assert room["placement"] is None
     assert (desk["factors"], room["factors"]) == ([2, 1, 1], [1, 1, 1])
@@ -139,7 +140,9 @@ def test_the_page_has_what_the_photograph_needs(mi, tmp_path, monkeypatch):
 def test_black_layers_are_left_out_and_too_large_images_refused(mi, tmp_path, capsys):
     layers, _ = wall(12, 20)
     page = tmp_path / "wall.html"
-    lumitree.mix(layers | {"off": np.zeros_like(layers["desk"])}).save(page)
+    lumitree.mix({"room": layers["room"], "off": np.zeros_like(layers["desk"]), **layers}).save(
+        page
+    )
     assert [each["name"] for each in content(page.read_text("utf-8"))["lamps"]] == sorted(layers)
     with pytest.raises(LumitreeError, match="all layers are black"):
         lumitree.mix({"off": np.zeros((4, 4, 3), np.float32)}).save(page)

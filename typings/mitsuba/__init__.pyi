@@ -95,6 +95,8 @@ class Color3f(Spectrum):
 class Matrix3f(_Array):
     T: Any
 
+class Matrix4f(_Array): ...
+
 class Transform4f(_Array):
     matrix: Any
     def inverse(self) -> Any: ...
@@ -259,6 +261,7 @@ class EmitterFlags:
 
 class ParamFlags:
     Differentiable: _Flag
+    Discontinuous: _Flag
 
 class RayFlags:
     All: _Flag
@@ -305,6 +308,24 @@ class Integrator(Object): ...
 class SamplingIntegrator(Integrator):
     hide_emitters: bool
     def __init__(self, props: Any) -> None: ...
+    def render(
+        self,
+        scene: Scene,
+        sensor: Any = ...,
+        seed: Any = ...,
+        spp: int = ...,
+        develop: bool = ...,
+        evaluate: bool = ...,
+    ) -> Any: ...
+    def render_backward(
+        self,
+        scene: Scene,
+        params: Any,
+        grad_in: Any,
+        sensor: Any = ...,
+        seed: Any = ...,
+        spp: int = ...,
+    ) -> None: ...
     def sample(
         self, scene: Scene, sampler: Any, ray: Any, medium: Any = ..., active: Any = ...
     ) -> tuple[Any, Any, Any]: ...

@@ -474,12 +474,13 @@ def _illuminance(given: Given) -> Any:
 
 
 def _design(given: Given) -> Any:
-    from lumitree.measure.design import check_design_output
+    from lumitree.measure.design import OUTPUTS
+    from lumitree.measure.illuminance import check_illuminance_output
 
     given = dict(given)
     outputs = given.pop("output", ())
     for path in outputs:
-        check_design_output(path)
+        check_illuminance_output(path, OUTPUTS)
     given["placements"] = _places(given)
     given["planes"] = _grouped("design", "plane", given)
     if "watts" in given:

@@ -42,20 +42,53 @@ _BUFFERS = {
 }
 
 
+def hidden_mesh_class() -> type[mi.Mesh]:
+    """Class of meshes whose arrays `mi.traverse` does not show once `shown` is set.
+
+    `shown` are the names of the methods that return objects which it shows.
+    """
+    import mitsuba as mi
+
+    class HiddenMesh(mi.Mesh):
+        shown: tuple[str, ...] | None = None
+
+        def all_parameters(self):
+            shown, self.shown = self.shown, None
+            parameters, self.shown = mi.traverse(self), shown
+            return parameters
+
+        def traverse(self, callback):
+            if self.shown is None:
+                super().traverse(callback)
+                return
+            for name in self.shown:
+                if (part := getattr(self, name)()) is not None:
+                    callback.put(name, part, mi.ParamFlags.Differentiable)
+
+        def to_string(self) -> str:
+            return f"HiddenMesh[{self.id()}]"
+
+    return HiddenMesh
+
+
 def make_mesh(
-    name: str, arrays: Mapping[str, ArrayLike | None], props: mi.Properties | None = None
+    name: str,
+    arrays: Mapping[str, ArrayLike | None],
+    props: mi.Properties | None = None,
+    made: type[mi.Mesh] | None = None,
 ) -> mi.Mesh:
     """A mesh of some arrays; those that are None or empty count as absent.
 
     Args:
         name: its id, if `props` has none.
         props: with BSDF, emitter and media as objects. Default: diffuse.
+        made: class of the result. Default: mi.Mesh.
     """
     import mitsuba as mi
 
     given = {key: np.asarray(each) for key, each in arrays.items() if each is not None}
     given = {key: values for key, values in given.items() if values.size}
-    mesh = mi.Mesh(
+    mesh = (made or mi.Mesh)(
         name,
         len(given["vertices"]),
         len(given["faces"]),
@@ -92,6 +125,13 @@ def copy_mesh(copy: mi.Mesh, mesh: mi.Mesh, props: mi.Properties) -> None:
     parameters.update()
 
 
+def keep_apart(mesh: mi.Mesh) -> None:
+    """Let Mitsuba not merge a mesh with others of its BSDF: it merges none with attributes."""
+    import mitsuba as mi
+
+    mesh.add_attribute("face_apart", 1, on_device(mi.Float, np.zeros(mesh.face_count())))
+
+
 def change_mesh(mesh: mi.Mesh, arrays: Mapping[str, ArrayLike]) -> None:
     """Replace some arrays of a mesh, but for its colours.
 
@@ -99,7 +139,8 @@ def change_mesh(mesh: mi.Mesh, arrays: Mapping[str, ArrayLike]) -> None:
     """
     import mitsuba as mi
 
-    parameters = mi.traverse(mesh)
+    hidden = getattr(mesh, "all_parameters", None)
+    parameters = hidden() if hidden else mi.traverse(mesh)
     for name, values in arrays.items():
         kind = mi.UInt32 if name == "faces" else mi.Float
         parameters[_BUFFERS[name][0]] = on_device(kind, values)

@@ -70,7 +70,7 @@ def _from_paraboloid(place: mi.Vector2f, resolution: int) -> mi.Vector2f:
     slope = 1 - 2 * place
     product = between.x * between.y
     half = 1 - between.x * slope.y - between.y * slope.x
-    root = dr.sqrt(dr.maximum(half * half - 4 * slope.x * slope.y * product, 0))
+    root = dr.safe_sqrt(half * half - 4 * slope.x * slope.y * product)
     moved = dr.select(crossed, product / (half + root) * (4 / resolution), 0)
     return place + moved * slope
 

@@ -175,6 +175,8 @@ class Aim:
                 inside = self.region[:, None] + np.array([reach, np.negative(reach)]) - poses.centre
                 low[:, :3] = np.maximum(low[:, :3], np.minimum(inside[0], 0))
                 high[:, :3] = np.minimum(high[:, :3], np.maximum(inside[1], 0))
+                # A lamp that is off stays where it is.
+                low[levels <= 0], high[levels <= 0] = 0, 0
                 limits = low[self.axes], high[self.axes], self._apart(poses, reach)
                 *_, steps = best_step(sloped, dimmers, *limits)
                 there = poses.stepped(self.axes, steps)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lumitree.core.arguments import check_count, check_items, check_range, metres_of
 from lumitree.core.backend import in_turn, load_rgb
-from lumitree.core.files import FilePath, check_writable, write_bytes, write_json
+from lumitree.core.files import FilePath, write_bytes, write_json
 from lumitree.core.photometry import luminance
 from lumitree.core.progress import ProgressCallback, show_progress
 from lumitree.core.results import Result, Stopwatch
@@ -26,9 +26,14 @@ from lumitree.measure.dimming import (
     reachable,
     tasks_of,
 )
-from lumitree.measure.illuminance import IlluminanceResult, illuminance
+from lumitree.measure.illuminance import (
+    IlluminanceResult,
+    check_illuminance_output,
+    illuminance,
+)
 from lumitree.measure.receivers import AreaFigures
 from lumitree.rendering.placement import Placement, write_placements
+from lumitree.rendering.render import layer_names
 
 if TYPE_CHECKING:
     from lumitree.measure.figures import Plan
@@ -47,7 +52,7 @@ class DesignedLamp:
     """A lamp of a design.
 
     Attributes:
-        label: its name.
+        label: its name; of an array, the name of its layer in `render`.
         level: dim level; 1 is its light as it was placed.
         lumens: luminous flux at this level, lm.
         placement: where it is, with its light at this level.
@@ -116,7 +121,7 @@ class DesignResult(Result):
         Raises:
             LumitreeError: the name has another ending, or the file cannot be written.
         """
-        check_design_output(path)
+        check_illuminance_output(path, OUTPUTS)
         kind = Path(path).suffix.lower()
         if kind == ".toml":
             write_placements(path, self.placements)
@@ -230,7 +235,7 @@ def design(
     check_seed(seed)
     if not any(plane.target or plane.minimum for plane in planes):
         raise LumitreeError("no plane has a target; give one its target or its minimum, in lux")
-    lamps = labelled(placements)
+    lamps = _named(placements)
     labels = [str(lamp.label) for lamp in lamps]
     if not lamps or not all(lamp.is_baked for lamp in lamps):
         raise LumitreeError(
@@ -303,27 +308,17 @@ def design(
     )
 
 
-def check_design_output(path: FilePath) -> None:
-    """Refuse a file that `DesignResult.save` cannot write."""
-    if Path(path).suffix.lower() not in OUTPUTS:
-        name = shown(repr(str(path)), 300)
-        raise LumitreeError(f"output {name} does not end in one of {', '.join(OUTPUTS)}")
-    check_writable(path)
-
-
-def labelled(placements: Sequence[Placement]) -> list[Placement]:
-    """All lamps of placements, each with a label of its own."""
-    found: dict[str, Placement] = {}
-    for placement in placements:
-        lamps, start = placement.each(), placement.label or Path(placement.name).stem
-        for number, lamp in enumerate(lamps, 1):
-            label = start if len(lamps) == 1 else f"{start} {number}"
-            again = 1
-            while label in found:
-                again += 1
-                label = f"{start} {again}"
-            found[label] = dataclasses.replace(lamp, label=label)
-    return list(found.values())
+def _named(placements: Sequence[Placement]) -> list[Placement]:
+    """All lamps of placements, each with a label of its own: else with the name of its layer."""
+    lamps = [lamp for placement in placements for lamp in placement.each()]
+    given, names = [lamp.label for lamp in lamps], layer_names(lamps)[1:]
+    labels = [
+        label if label and given.count(label) == 1 and label not in names else name
+        for label, name in zip(given, names, strict=True)
+    ]
+    return [
+        dataclasses.replace(lamp, label=label) for lamp, label in zip(lamps, labels, strict=True)
+    ]
 
 
 def _matches(option: str, pattern: str, labels: Sequence[str]) -> NDArray[np.bool_]:
@@ -392,7 +387,7 @@ def _grids(lamp: Placement, box: NDArray[np.float64]) -> Iterator[tuple[int, lis
         if number == 1 or ratios[best] <= np.log(_LONGEST):
             pitch, at = tuple((sides / shapes[best]).tolist()), (x, lamp.at[1], z)
             array = dataclasses.replace(lamp, at=at, grid=shapes[best], pitch=pitch)
-            yield number, labelled([array])
+            yield number, _named([array])
 
 
 def _axes(

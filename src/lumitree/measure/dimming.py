@@ -14,7 +14,6 @@ program is solved a few times, with the errors at the levels before.
 from __future__ import annotations
 
 import dataclasses
-import math
 import warnings
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, cast
@@ -212,14 +211,9 @@ def dim_levels(tasks: Sequence[Task], dimmers: Dimmers, margin: float) -> _Array
 
 def equal_level(tasks: Sequence[Task], levels: _Array) -> float:
     """The least common level of all lamps whose smallest illuminance is as large on each plane."""
-    everything = np.ones_like(levels)
-    ratios = [
-        (task.lux(levels).min() - task.fixed.min())
-        / (task.lux(everything).min() - task.fixed.min())
-        for task in tasks
-        if task.lux(everything).min() > task.fixed.min()
-    ]
-    return max(ratios, default=math.nan)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratios = [(task.lux(levels).min() - task.fixed) / task.lamps.sum(axis=1) for task in tasks]
+    return max(0.0, float(np.nanmax(np.concatenate(ratios))))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

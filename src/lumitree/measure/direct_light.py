@@ -1,4 +1,4 @@
-"""Direct illuminance by baked lamps, differentiable by their poses and gains.
+"""Direct illuminance by baked lamps, differentiable by their poses and brightness.
 
 The irradiance of a point is a sum over the cells of each lamp's light field (`DeviceLight`), which
 Dr.Jit differentiates. Straight and bent light are both in it. Shadows are not: neither is light
@@ -37,9 +37,9 @@ def direct_illuminance(
     """Direct illuminance of points by the baked lamps of a scene, differentiable by Dr.Jit.
 
     It is the direct part of `illuminance` for lamps, without shadows: the light of all cells of
-    each light field, straight or bent. Its derivatives are by the parameters of the lamps that
-    `mitsuba.traverse` lists. Other emitters do not count, nor do lamps for points inside their
-    boxes.
+    each light field, straight or bent. Its derivatives are by the parameters of lamps that
+    `mitsuba.traverse` lists, the pose among them. Other emitters do not count, nor do lamps for
+    points inside their boxes.
 
     Args:
         scene: with lamps, as `lumitree.shape` makes them.
@@ -60,7 +60,7 @@ def direct_illuminance(
     total = dr.zeros(mi.Float, len(position))
     for number, lamp in lamps_of(scene.emitters()).items():
         part = SeedStream(Purpose.DESIGN, draw=3).seed(check_seed(seed), number)
-        total += direct_lux(lamp, position, normal, samples, part)
+        total += direct_lux(lamp.moving or lamp, position, normal, samples, part)
     return total
 
 

@@ -283,11 +283,11 @@ def illuminance(
     )
 
 
-def check_illuminance_output(path: FilePath) -> None:
-    """Refuse a file that `IlluminanceResult.save` cannot write."""
-    if Path(path).suffix.lower() not in OUTPUTS:
+def check_illuminance_output(path: FilePath, endings: Sequence[str] = OUTPUTS) -> None:
+    """Refuse a file that a result cannot write, by default `IlluminanceResult.save`."""
+    if Path(path).suffix.lower() not in endings:
         name = shown(repr(str(path)), 300)
-        raise LumitreeError(f"output {name} does not end in one of {', '.join(OUTPUTS)}")
+        raise LumitreeError(f"output {name} does not end in one of {', '.join(endings)}")
     check_writable(path)
 
 

@@ -13,6 +13,7 @@ from lumitree.rendering.device_light import DeviceLight, InsideLight
 from lumitree.rendering.field_rays import FieldRays
 from lumitree.rendering.geometry import Surfaces
 from lumitree.rendering.light_colour import LightSpectra, light_table
+from lumitree.rendering.light_moments import LightMoments
 from lumitree.rendering.outline import LuminousOutline
 from lumitree.rendering.sampling import BoxProxy
 from lumitree.rendering.straight_light import StraightLight
@@ -92,6 +93,17 @@ class DeviceAsset:
         field = self.asset.light_field
         assert field is not None
         return field.bent_light if bent else field
+
+    @property
+    def moments(self) -> LightMoments:
+        """The light field for derivatives by lines."""
+        return shared(
+            self.asset,
+            "moments",
+            lambda: LightMoments(
+                self._light_field(False), self.asset.frame.half_extents, self.asset.light_factors
+            ),
+        )
 
     def inside_light(self, bent: bool) -> InsideLight:
         """As `stored_light`, for receivers inside the box."""

@@ -207,14 +207,31 @@ class CellLight:
         """Index of the cell of the row's level that contains a cell of level 0."""
         return cell
 
+    def smooth_light(
+        self, cell: mi.UInt32, direction: mi.Vector3f, distance: mi.Float, active: mi.Bool
+    ) -> mi.Color3f:
+        """As `light`, linear between the middles of bins; has derivatives by the direction."""
+        light = mi.Color3f(0)
+        for bins, weight in bins_around(direction, self._resolution):
+            light += weight * self.light(cell, bins, distance, active)
+        return light
+
     @dr.syntax
     def sample_point(
-        self, x: mi.Point3f, sample: mi.Point2f, active: mi.Bool | bool = True
+        self,
+        x: mi.Point3f,
+        sample: mi.Point2f,
+        active: mi.Bool | bool = True,
+        *,
+        smooth: bool = False,
     ) -> tuple[mi.Vector3f, Target]:
         """Direction towards a point of a cell of the receiver's level, and the point.
 
         Resampled importance sampling: the weight of a candidate is its `contribution` with a b of
         1 / πR, about the b of a diffuse surface; R is the radius of the lamp's bounding sphere.
+
+        Args:
+            smooth: whether the weight is of `smooth_light`: 0 only where this has no derivatives.
         """
         # Bits of the sample that the candidates do not depend on.
         random = scrambled(mi.Point2f(sample.y, sample.x))
@@ -229,7 +246,11 @@ class CellLight:
             offset = mi.Vector3f(point - x)
             bins = smooth_bin(-offset, self._resolution)
             squared = dr.squared_norm(offset)
-            light = dr.sum(self.light(cell, bins, dr.sqrt(squared), mi.Bool(active)))
+            far = dr.sqrt(squared)
+            if dr.hint(smooth, mode="scalar"):
+                light = dr.sum(self.smooth_light(cell, -offset, far, mi.Bool(active)))
+            else:
+                light = dr.sum(self.light(cell, bins, far, mi.Bool(active)))
             light /= pmf * squared + volume * self._diffuse
             reservoir.add(light, (offset, cell, pmf, bins))
             candidate += 1
@@ -250,6 +271,19 @@ class CellLight:
         volume = dr.gather(mi.Float, self.cells.volume, target.cell, active)
         density = target.pmf * dr.square(target.distance) + other * volume
         light = self.light(target.cell, target.bins, target.distance, mi.Bool(active))
+        return dr.select(active & (density > 0), light * (target.factor / density), 0)
+
+    def smooth_contribution(
+        self, target: Target, offset: mi.Vector3f, active: mi.Bool
+    ) -> mi.Color3f:
+        """`contribution` of `smooth_light` for a b of 0, with derivatives by the offset.
+
+        Args:
+            offset: from the receiver to the point, local units.
+        """
+        distance = dr.norm(offset)
+        light = self.smooth_light(target.cell, -offset, distance, active)
+        density = target.pmf * dr.square(distance)
         return dr.select(active & (density > 0), light * (target.factor / density), 0)
 
     def received(
@@ -498,7 +532,8 @@ class DeviceLight(CellLight):
         """
         first, end = (parameter(mi.UInt32, each) for each in self._first_cells[level : level + 2])
         total, cell = mi.Color3f(0), dr.zeros(mi.UInt32, dr.width(x)) + first
-        while active & (cell < end):
+        # A sum, for derivatives in reverse.
+        while dr.hint(active & (cell < end), max_iterations=-1):
             within = mi.Point3f(random.next_float32(), random.next_float32(), random.next_float32())
             point, _ = self.cells.point(cell, within, active)
             offset = mi.Vector3f(point - x)

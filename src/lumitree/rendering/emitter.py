@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import copy
 import functools
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
@@ -33,7 +34,7 @@ from lumitree.rendering.asset_cache import open_asset
 from lumitree.rendering.asset_flux import axis_intensities
 from lumitree.rendering.device import DeviceAsset
 from lumitree.rendering.device_light import CellLight, DeviceLight
-from lumitree.rendering.geometry import GeometryEmitter
+from lumitree.rendering.geometry import GeometryEmitter, move_geometry
 from lumitree.rendering.objects import complete_later
 from lumitree.rendering.sampling import INSIDE, OUTSIDE, STRAIGHT, Target, cone_pdf, mis_weight
 from lumitree.rendering.straight_light import StraightLight
@@ -105,23 +106,34 @@ class PlacedAsset:
         self.lights_inside = False
         self.shape_numbers: list[int] = []
         self.medium_numbers: list[int] = []
-        scene_from_local = options.get("to_world", np.eye(4)) @ asset.frame.world_from_local
-        scale = similarity_scale(scene_from_local, "to_world")
-        axes, origin = scene_from_local[:3, :3] / scale, scene_from_local[:3, 3]
-        # Absolute intensities stay at any size: the radiance falls with the area.
-        dimming = (asset.frame.scale / scale) ** 2 if asset.is_photometric else 1.0
-        # Scale, origin, axes by rows, and dimming [14].
-        self.numbers = np.array([scale, *origin, *axes.ravel(), dimming])
-        self._scale, self._origin, self._axes = scale, origin, axes
         self._margin = GEOMETRY_MARGIN if self.shows_geometry else 0.0
         half = asset.frame.half_extents + self._margin
         self._half = parameter(mi.Vector3f, *half.tolist())
         self._near = parameter(mi.Vector3f, *(half + _TOUCH).tolist())
+        self.place(options.get("to_world", np.eye(4)))
+
+    def place(self, scene_from_world: NDArray[np.float64]) -> None:
+        """Stand where a similarity [4, 4] takes the luminaire from the frame of its file.
+
+        Raises:
+            LumitreeError: it is no similarity; the pose stays.
+        """
+        frame = self.asset.frame
+        scene_from_local = scene_from_world @ frame.world_from_local
+        scale = similarity_scale(scene_from_local, "to_world")
+        axes, origin = scene_from_local[:3, :3] / scale, scene_from_local[:3, 3]
+        # Absolute intensities stay at any size: the radiance falls with the area.
+        dimming = (frame.scale / scale) ** 2 if self.asset.is_photometric else 1.0
+        # Scale, origin, axes by rows, and dimming [14].
+        self.numbers = np.array([scale, *origin, *axes.ravel(), dimming])
+        self.scene_from_world = scene_from_world
+        self._scale, self._origin, self._axes = scale, origin, axes
         # Parameters: moving a luminaire does not compile new kernels.
         self._move([parameter(mi.Float, number) for number in self.numbers.tolist()])
 
     def _move(self, numbers: Sequence[mi.Float]) -> None:
         """Stand at a pose of other `numbers` on the device."""
+        self._placed = list(numbers)
         self.scale, self._centre = numbers[0], mi.Point3f(*numbers[1:4])
         self._rotation, self._dimming = mi.Matrix3f(*numbers[4:13]), numbers[13]
 
@@ -241,18 +253,27 @@ class PlacedLamp(PlacedAsset):
 
     Attributes:
         gain: [3] factors on R, G and B; a differentiable parameter of `mitsuba.traverse`.
+        to_world: from the frame of the luminaire's file to the scene; likewise.
+        attached: `numbers` on the device, with derivatives by `to_world`; None if it has none.
+        tracked: whether its stored light has derivatives by the pose (`with_derivatives`).
     """
+
+    tracked = False
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
         self.gain = mi.Color3f(*check_gain(props.get("gain", 1.0)))
         self._accept_gain()
+        self.to_world = mi.Transform4f(self.scene_from_world)
+        self.attached: Sequence[mi.Float] | None = None
 
     def make_tables(self) -> None:
         """Make the tables that the methods need."""
         _ = self.straight, self.device.outline, mi.is_spectral and self.device.spectra
         if self.stored is not None:
             _ = self.stored.table
+        if self.tracked:
+            _ = self.device.moments, self.lights_inside and self._inside_light()
         _ = self.device.field_rays if self.light is None else self.light.table
 
     def set_gain(self) -> None:
@@ -263,6 +284,78 @@ class PlacedLamp(PlacedAsset):
             mi.set_property(self.gain, self._accepted)
             raise
         self._accept_gain()
+
+    def set_pose(self) -> bool:
+        """Accept the value of `to_world`, or raise and return to the one before.
+
+        Returns:
+            Whether the lamp has moved.
+        """
+        given = np.array(dr.detach(self.to_world).matrix, np.float64)
+        matrix = given[..., 0] if given.shape == (4, 4, 1) else given
+        moved = not np.array_equal(matrix, self.scene_from_world.astype(np.float32))
+        tracks = dr.grad_enabled(self.to_world)
+        try:
+            if tracks and self.asset.light_field is None:
+                raise LumitreeError(
+                    "to_world has derivatives, and the asset no light field; bake it again"
+                )
+            if moved:
+                similarity_scale(matrix, "to_world")
+                self.place(matrix)
+        except LumitreeError:
+            mi.set_property(self.to_world, mi.Transform4f(self.scene_from_world))
+            raise
+        self.__dict__.pop("_axis_intensities", None)
+        self.attached = self._attached_numbers() if tracks else None
+        if tracks:
+            self.with_derivatives()
+        return moved
+
+    def _attached_numbers(self) -> list[mi.Float]:
+        """`numbers` on the device, with derivatives by `to_world`."""
+        frame = self.asset.frame
+        matrix = self.to_world.matrix @ mi.Matrix4f(frame.world_from_local)
+        rows = [[matrix[i, j] for j in range(3)] for i in range(3)]
+        scale = dr.cbrt(dr.det(mi.Matrix3f(*itertools.chain(*rows))))
+        axes = [each / scale for each in itertools.chain(*rows)]
+        dimming = mi.Float(self.numbers[13])
+        if self.asset.is_photometric:
+            dimming = dr.square(float(frame.scale) / scale)
+        found = [scale, *(matrix[i, 3] for i in range(3)), *axes, dimming]
+        values = [parameter(mi.Float, number) for number in self.numbers.tolist()]
+        found = [dr.replace_grad(*each) for each in zip(values, found, strict=True)]
+        dr.eval(found)
+        return found
+
+    @property
+    def moving(self) -> PlacedLamp | None:
+        """The lamp at a pose with derivatives; None where these are not asked for."""
+        if self.attached is None or not dr.grad_enabled(self.attached):
+            return None
+        lamp = copy.copy(self)
+        lamp._move(self.attached)
+        return lamp
+
+    def with_derivatives(self) -> PlacedLamp:
+        """The lamp as `lumitree_path` samples it for derivatives by the pose.
+
+        Emitter sampling alone finds all stored light, since sampled points move with the lamp:
+        with the points fixed in the local frame, the light is a smooth function of the pose. The
+        light field stands for straight light, too: its edges, as of a shade, would have no
+        derivatives.
+        """
+        if self.asset.light_field is None:
+            return self
+        lamp = copy.copy(self)
+        lamp.tracked = True
+        lamp.make_tables()
+        return lamp
+
+    @property
+    def attaches_gain(self) -> bool:
+        """Whether its gain has derivatives, and no emitters of its shapes take it, too."""
+        return dr.grad_enabled(self.gain) and not self.shows_geometry
 
     def _accept_gain(self) -> None:
         # Opaque: another gain does not compile new kernels.
@@ -277,14 +370,16 @@ class PlacedLamp(PlacedAsset):
     @property
     def samples_cells(self) -> bool:
         """Whether cells of the light field are sampled, and not uniform directions."""
-        return self.sampling == "emission" and self.asset.light_field is not None
+        emission = self.tracked or self.sampling == "emission"
+        return emission and self.asset.light_field is not None
 
     @property
     def traces_straight_light(self) -> bool:
         """Whether its straight light comes from its shapes, and not from the light field."""
         field = self.asset.light_field
         has_straight = field is not None and field.has_straight_light
-        return self.shows_geometry and has_straight and self.sampling == "emission"
+        traced = self.shows_geometry and has_straight and self.sampling == "emission"
+        return traced and not self.tracked
 
     @property
     def stored(self) -> DeviceLight | None:
@@ -395,17 +490,28 @@ class PlacedLamp(PlacedAsset):
         end, beyond = dr.select(straight, point, end), dr.select(straight, 0, beyond)
         ds.p = dr.select(ds.dist == end, ds.p, dr.fma(end, ds.d, it.p))
         ds.dist = end
+        if self.tracked and (moving := self.moving):
+            offset = moving._offset(it, x + target.distance * direction)
+            towards = dr.select(straight, ds.d, moving.scene_direction(offset))
+            ds.d = dr.replace_grad(ds.d, towards)
         valid = dr.select(straight, dr.max(target.light) > 0, valid)
         return EmitterSample(ds, mi.Spectrum(1), valid, target, beyond)
+
+    def _offset(self, it: mi.Interaction3f, point: mi.Point3f) -> mi.Vector3f:
+        """From a receiver to a point of the lamp, local frame."""
+        return mi.Vector3f(point - self.receiver(self.local_point(it.p)))
 
     def _sample_stored(self, x, sample, active, inside):
         """Direction (local frame) to a point of stored light, and the point; or uniform."""
         if self.stored is None:
             return self.proxy.sample(x, sample), Target.at(mi.Float(-dr.inf))
-        direction, target = self.stored.sample_point(x, sample, active & ~inside)
+        smooth = self.tracked
+        direction, target = self.stored.sample_point(x, sample, active & ~inside, smooth=smooth)
         if self.lights_inside:
             light = self._inside_light()
-            inside_direction, inside_target = light.sample_point(x, sample, active & inside)
+            inside_direction, inside_target = light.sample_point(
+                x, sample, active & inside, smooth=smooth
+            )
             direction = dr.select(inside, inside_direction, direction)
             target = dr.select(inside, inside_target, target)
         return direction, target
@@ -437,7 +543,7 @@ class PlacedLamp(PlacedAsset):
         active: mi.Bool,
     ) -> mi.Spectrum:
         """Radiance over density of a sampled direction, times its weight of MIS."""
-        x, direction = self.local_line(it.p, sampled.ds.d)
+        x, direction = self.local_line(it.p, dr.detach(sampled.ds.d))
         target, near = sampled.target, sampled.ds.dist / self.scale
         straight = active & (target.place == STRAIGHT)
         weight = target.light * mis_weight(target.density * emitter_pmf, bsdf_pdf)
@@ -445,6 +551,16 @@ class PlacedLamp(PlacedAsset):
             # Rays of the BSDF of a receiver that touches the box may not enter it.
             bsdf_pdf = dr.select(self.touches(x), 0, bsdf_pdf)
             x = self.receiver(x)
+        if self.tracked:
+            lamp = self.moving or self
+            offset = lamp._offset(it, x + target.distance * direction)
+            assert self.stored is not None
+            outside = active & (target.place == OUTSIDE)
+            stored = self.stored.smooth_contribution(target, offset, outside)
+            if self.lights_inside:
+                inside = active & (target.place == INSIDE)
+                stored += self._inside_light().smooth_contribution(target, offset, inside)
+            return lamp.colour(lamp.factor * dr.select(straight, weight, stored), it.wavelengths)
         stored = self._eval_stored(
             x, direction, near, target, bsdf_pdf, emitter_pmf, active & ~straight
         )
@@ -533,12 +649,18 @@ class PlacedLamp(PlacedAsset):
             radiance *= mis_weight(bsdf_pdf, density * emitter_pmf)
         else:
             radius, sampled = self.stored.radius, emitter_pmf > 0
-            gets = active & ~(sampled & sampled_only(x, _CUTOFF_RADIUS * radius, bsdf_pdf))
+            left = self.tracked | sampled_only(x, _CUTOFF_RADIUS * radius, bsdf_pdf)
+            gets = active & ~(sampled & left)
             if self.asset.num_leaves or self.device.outline is not None:
                 gets &= ~mi.Bool(specular_chain)
             inverse = dr.select(sampled, radius * emitter_pmf / bsdf_pdf, 0)
             rest = x, entry, direction, inverse, span[1]
             radiance = self.stored.received(*rest, gets & ~inside)
+            if self.tracked and (moving := self.moving):
+                line = moving.local_line(ray.o, ray.d)
+                radiance = dr.replace_grad(
+                    radiance, self.device.moments.radiance(*line, gets & ~inside)
+                )
             if self.lights_inside:
                 radiance += self._inside_light().received(*rest, gets & inside)
             radiance, through = self._divided(
@@ -548,6 +670,20 @@ class PlacedLamp(PlacedAsset):
             through = mi.Float(1)
         radiance = self.colour(self.factor * radiance, ray.wavelengths)
         return radiance & active, dr.select(active, through, 1)
+
+    def look(self, point: mi.Point3f, direction: mi.Vector3f, active: mi.Bool | bool) -> mi.Color3f:
+        """Radiance of the lamp in an image, along a line of the scene.
+
+        Its derivatives by the pose are of the light field.
+        """
+        line = self.local_line(point, direction)
+        radiance, _ = self.device.look(*line, active, light=self.light)
+        moving = self.moving
+        if moving is None:
+            return self.factor * radiance
+        line = moving.local_line(point, direction)
+        seen = self.device.moments.radiance(*line, active)
+        return moving.factor * dr.replace_grad(radiance, seen)
 
     def transmittance(self, ray: mi.Ray3f, distance: mi.Float, active: mi.Bool) -> mi.Float:
         """Transmittance for a shadow ray that enters the proxy; without its part behind its end."""
@@ -676,7 +812,10 @@ class Instances:
         for place, (number, lamp) in enumerate(lamps.items()):
             rows[number, : len(lamp.numbers)], place_of[number] = lamp.numbers, place
         self._rows, self._place_of = on_device(mi.Float, rows), on_device(mi.UInt32, place_of)
-        self._gains = joined_colours([lamp.gain for lamp in lamps.values()])
+        self._gains = mi.Color3f(*joined([list(lamp.gain) for lamp in lamps.values()]))
+        self._attached: Sequence[mi.Float] | None = None
+        if any(lamp.moving for lamp in lamps.values()):
+            self._attached = joined([lamp.attached or lamp._placed for lamp in lamps.values()])
 
     def of(self, lamp: PlacedLamp, number: mi.UInt32) -> PlacedLamp:
         """A lamp with the pose and the gain of the instance of a number, one for each ray."""
@@ -688,20 +827,19 @@ class Instances:
         instance._move([value for packet in packets for value in packet])
         place = dr.gather(mi.UInt32, self._place_of, number)
         instance.gain = dr.gather(mi.Color3f, self._gains, place)
+        if self._attached is not None:
+            instance.attached = [dr.gather(mi.Float, each, place) for each in self._attached]
         return instance
 
 
-def joined_colours(colours: list[mi.Color3f]) -> mi.Color3f:
-    """Evaluated arrays, one after another, in one; derivatives pass through."""
-    while len(colours) > 1:
-        groups = [colours[i : i + _JOINED] for i in range(0, len(colours), _JOINED)]
-        colours = [
-            mi.Color3f(*(dr.concat([each[i] for each in group]) for i in range(3)))
-            for group in groups
-        ]
-        for colour in colours:
-            dr.eval(colour)
-    return colours[0]
+def joined(rows: list[Sequence[mi.Float]]) -> Sequence[mi.Float]:
+    """Evaluated arrays of several rows, each joined over the rows; derivatives pass through."""
+    while len(rows) > 1:
+        groups = [rows[i : i + _JOINED] for i in range(0, len(rows), _JOINED)]
+        rows = [[dr.concat(list(each)) for each in zip(*group, strict=True)] for group in groups]
+        for row in rows:
+            dr.eval(row)
+    return rows[0]
 
 
 def emitter_class() -> type:
@@ -723,16 +861,20 @@ def emitter_class() -> type:
         def traverse(self, callback):
             super().traverse(callback)
             callback.put("gain", self.lamp.gain, mi.ParamFlags.Differentiable)
+            kind = mi.ParamFlags.Differentiable | mi.ParamFlags.Discontinuous
+            callback.put("to_world", self.lamp.to_world, kind)
 
         def parameters_changed(self, keys=()):
             if not keys or "gain" in keys:
                 self.lamp.set_gain()
+            if (not keys or "to_world" in keys) and self.lamp.set_pose():
+                self.get_shape().follow(self.lamp.scene_from_world)
+                move_geometry(self.lamp)
 
         def eval(self, si, active=True):
-            lamp = self.lamp
-            line, entering = lamp.entering_line(si, active)
-            radiance = lamp.factor * lamp.device.look(*line, entering, light=lamp.light)[0]
-            return lamp.colour(radiance, si.wavelengths) & entering
+            entering = active & (mi.Frame3f.cos_theta(si.wi) > 0)
+            radiance = self.lamp.look(si.p, -si.to_world(si.wi), entering)
+            return self.lamp.colour(radiance, si.wavelengths) & entering
 
         def sample_direction(self, it, sample, active=True):
             lamp = self.lamp
@@ -758,11 +900,9 @@ def emitter_class() -> type:
             return self.lamp._eval(x, entry, direction, facing)[2]
 
         def eval_direction(self, it, ds, active=True):
-            lamp = self.lamp
-            line = lamp.local_line(it.p, ds.d)
             facing = active & (dr.dot(ds.d, ds.n) < 0)
-            radiance, _ = lamp.device.look(*line, facing, light=lamp.light)
-            return lamp.colour(lamp.factor * radiance, it.wavelengths) & facing
+            radiance = self.lamp.look(it.p, ds.d, facing)
+            return self.lamp.colour(radiance, it.wavelengths) & facing
 
         def sample_wavelengths(self, si, sample, active=True):
             return mi.Color0f(), self.eval(si, active)

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset import materials as asset_materials
-from lumitree.asset.geometry import AssetGeometry, Medium, Shape, UnitShape
+from lumitree.asset.geometry import AssetGeometry, Medium, MeshArrays, Shape, UnitShape
 from lumitree.asset.materials import (
     Dielectric,
     Image,
@@ -33,12 +33,20 @@ from lumitree.asset.materials import (
 )
 from lumitree.core.device import parameter, transforms_as_parameters
 from lumitree.core.frames import LocalFrame, similarity_scale
-from lumitree.core.mitsuba_meshes import VERTEX_COLOUR, make_mesh
-from lumitree.rendering.objects import load_ordered, make_object, make_properties
+from lumitree.core.mitsuba_meshes import (
+    VERTEX_COLOUR,
+    change_mesh,
+    hidden_mesh_class,
+    keep_apart,
+    make_mesh,
+)
+from lumitree.rendering.objects import load_ordered, make_object, make_properties, shape_of
 from lumitree.rendering.straight_light import EmittingSurface, emitting_surface
 
 # Marks a BSDF that light crosses straight, in `flags()`; Mitsuba does not use this bit.
 CROSSED_STRAIGHT = 1 << 24
+# Parts of a shape that are parameters of a scene; its arrays follow the lamp.
+_SHOWN = ("bsdf", "interior_medium", "exterior_medium")
 
 
 def geometry_shapes(scene_from_world: NDArray[np.float64], lamp: Any) -> list[mi.Shape]:
@@ -53,12 +61,11 @@ def geometry_shapes(scene_from_world: NDArray[np.float64], lamp: Any) -> list[mi
     surfaces, straight = lamp.device.surfaces, lamp.device.straight
     # From the geometry's coordinates, in double precision: they may be far from the file's.
     matrix = scene_from_world @ geometry.file_from_geometry
-    scale = similarity_scale(scene_from_world, "to_world")
-    rotation, emitter = matrix[:3, :3] / scale, geometry_emitter_class()
+    scale, emitter = similarity_scale(scene_from_world, "to_world"), geometry_emitter_class()
     densities = iter([] if straight is None else straight.densities)
     # All shapes of one medium share an object.
     media: dict[Medium, mi.Medium] = {}
-    made = []
+    made, mesh_class = [], hidden_mesh_class()
     for shape, mesh in zip(geometry.shapes, geometry.meshes(), strict=True):
         values: dict[str, object] = {
             "flip_normals": shape.flipped,
@@ -66,8 +73,8 @@ def geometry_shapes(scene_from_world: NDArray[np.float64], lamp: Any) -> list[mi
         }
         # A surface that shows other things needs no emitter: it neither emits nor scatters.
         if shape.radiance is not None:
-            density = next(densities) / lamp.numbers[0] ** 2
-            values["emitter"] = emitter(lamp, surfaces.materials.radiance(shape.radiance), density)
+            radiance = surfaces.materials.radiance(shape.radiance)
+            values["emitter"] = emitter(lamp, radiance, next(densities))
         elif not is_specular(geometry.materials[shape.material]):
             values["emitter"] = emitter(lamp)
         for side, medium in shape.media.items():
@@ -81,17 +88,54 @@ def geometry_shapes(scene_from_world: NDArray[np.float64], lamp: Any) -> list[mi
             transforms_as_parameters(made[-1:])
         else:
             assert mesh is not None
-            vertices = mesh["vertices"] @ matrix[:3, :3].T + matrix[:3, 3]
-            moved = {**mesh, "vertices": vertices, "normals": mesh["normals"] @ rotation.T}
-            made.append(make_mesh("geometry", moved, make_properties("", values)))
+            moved = mesh | _moved(mesh, matrix)
+            properties = make_properties("", values)
+            made.append(make_mesh("geometry", moved, properties, mesh_class))
+            if "emitter" not in values:
+                keep_apart(made[-1])
+            made[-1].shown = _SHOWN
     return made
+
+
+def move_geometry(lamp: Any) -> None:
+    """Move the shapes of `geometry_shapes` to the pose of their lamp."""
+    if not lamp.shape_numbers:
+        return
+    geometry, scene_from_world = lamp.asset.geometry, lamp.scene_from_world
+    matrix = scene_from_world @ geometry.file_from_geometry
+    scale = similarity_scale(scene_from_world, "to_world")
+    shapes = map(shape_of, lamp.shape_numbers)
+    for made, shape, mesh in zip(shapes, geometry.shapes, geometry.meshes(), strict=True):
+        if isinstance(shape, UnitShape):
+            parameters = mi.traverse(made)
+            parameters["to_world"] = mi.Transform4f(matrix @ np.array(shape.to_world, np.float64))
+            parameters.update()
+            transforms_as_parameters([made])
+        elif isinstance(made, mi.Mesh):
+            change_mesh(made, _moved(mesh, matrix))
+        for side, medium in shape.media.items():
+            parameters = mi.traverse(getattr(made, side)())
+            parameters["scale"] = _densest(medium) / scale
+            parameters.update()
+
+
+def _moved(mesh: MeshArrays, matrix: NDArray[np.float64]) -> MeshArrays:
+    """Vertices and normals of a mesh, moved by a similarity."""
+    rotation = matrix[:3, :3] / similarity_scale(matrix)
+    vertices = mesh["vertices"] @ matrix[:3, :3].T + matrix[:3, 3]
+    normals = {"normals": mesh["normals"] @ rotation.T} if len(mesh["normals"]) else {}
+    return {"vertices": vertices, **normals}
+
+
+def _densest(medium: Medium) -> float:
+    """The largest extinction of a medium, per unit of the file."""
+    return max(*(np.array(medium.absorption) + medium.scattering).tolist(), 1e-30)
 
 
 def _medium(medium: Medium, scale: float) -> mi.Medium:
     """A medium, whose coefficients are per unit of the file."""
     absorption, scattering = np.array(medium.absorption), np.array(medium.scattering)
-    extinction = absorption + scattering
-    densest = max(*extinction, 1e-30)
+    extinction, densest = absorption + scattering, _densest(medium)
     albedo = scattering / np.maximum(extinction, 1e-30)
     phase = make_object("hg", {"g": medium.anisotropy})
     values = {
@@ -259,7 +303,7 @@ def geometry_emitter_class() -> type:
 
             Args:
                 radiance: of the shape; None if it is black.
-                density: of `StraightLight.densities`, scene units.
+                density: of `StraightLight.densities`.
             """
             super().__init__(make_properties("lumitree_geometry", {"sampling_weight": 0.0}))
             self._lamp, self._radiance = lamp, radiance
@@ -268,10 +312,14 @@ def geometry_emitter_class() -> type:
             self.traced = lamp.traces_straight_light
             self.m_flags = mi.EmitterFlags.Surface | mi.EmitterFlags.SpatiallyVarying
 
+        def traverse(self, callback):
+            """It has no parameters: not even its weight, 0, has an effect."""
+
         def eval_self_emission(self, si, it, ds, active):
             if self._radiance is None:
                 return mi.Spectrum(0), mi.Float(0)
-            pdf = self._density * dr.square(ds.dist) / dr.abs(dr.dot(ds.d, si.n))
+            density = self._density / dr.square(self._lamp.scale)
+            pdf = density * dr.square(ds.dist) / dr.abs(dr.dot(ds.d, si.n))
             front = active & (mi.Frame3f.cos_theta(si.wi) > 0)
             radiance = self._lamp.factor * self._factors * self._radiance(si, front)
             return dr.select(front, self._lamp.colour(radiance, si.wavelengths), 0), pdf

@@ -39,7 +39,7 @@ import mitsuba as mi
 
 from lumitree.errors import LumitreeError
 from lumitree.lamp.media import absorption, media
-from lumitree.rendering.emitter import EmitterSample
+from lumitree.rendering.emitter import EmitterSample, lamp_of
 from lumitree.rendering.geometry import CROSSED_STRAIGHT, GeometryEmitter
 from lumitree.rendering.lamps import EmitterSelection, LampChoices, LampKinds, Selected
 from lumitree.rendering.layers import Layers, Unrecorded
@@ -227,6 +227,8 @@ class PathScene:
         hide_emitters: whether the camera does not see emitters.
         layers: recorded beside the image.
         choices: keeps tables for the choice of a lamp.
+        sums: whether of a path its light alone has derivatives, so that these are sums over its
+            vertices, and not its throughput.
     """
 
     def __init__(
@@ -238,6 +240,7 @@ class PathScene:
         hide_emitters: bool = False,
         layers: Unrecorded | None = None,
         choices: LampChoices | None = None,
+        sums: bool = False,
     ) -> None:
         self.whole = scene
         self.divided = divided
@@ -254,6 +257,7 @@ class PathScene:
         )
         self.selection = EmitterSelection(scene, LampChoices() if choices is None else choices)
         self.lamps = LampKinds(scene.emitters(), scene.emitters_dr())
+        self.max_iterations = -1 if sums else None
 
     def emitter(self, index: mi.UInt32, active: mi.Bool) -> mi.EmitterPtr:
         """The emitter of an index in the scene."""
@@ -266,6 +270,12 @@ def _has_null_surfaces(scene: mi.Scene) -> bool:
         if is_instance(shape) or mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Null):
             return True
     return False
+
+
+def lamps_alone(params) -> bool:
+    """Whether no parameters but lamps' have derivatives: these enter the light of paths alone."""
+    attached = (value for key, value in params.properties.items() if dr.grad_enabled(params[key]))
+    return all(lamp_of(node) is not None for _, _, node, _ in attached)
 
 
 DEFAULT_RR_DEPTH = 5
@@ -289,6 +299,7 @@ def integrator_class() -> type:
             self.layers: Layers | Unrecorded = Unrecorded()
             self._divided = DividedScene()
             self._choices = LampChoices()
+            self._sums = False
             if self.max_depth < -1 or self.rr_depth < 1:
                 raise LumitreeError(
                     f"lumitree_path has max_depth {self.max_depth} and rr_depth {self.rr_depth}; "
@@ -319,10 +330,23 @@ def integrator_class() -> type:
                 hide_emitters=self.hide_emitters,
                 layers=self.layers,
                 choices=self._choices,
+                sums=self._sums,
             )
             inside = dr.zeros(mi.MediumPtr) if medium is None else mi.MediumPtr(medium)
             path = PathState.start(ray, inside, mi.Bool(active))
             return trace_paths(paths, path, sampler, self.max_depth, self.rr_depth)
+
+        def render_backward(self, scene, params, grad_in, sensor=0, seed=0, spp=0):
+            if not lamps_alone(params):
+                super().render_backward(scene, params, grad_in, sensor, seed, spp)
+                return
+            # In one kernel, and not in one for each vertex of the longest path.
+            self._sums = True
+            try:
+                image = self.render(scene, sensor, seed, spp, develop=True, evaluate=False)
+                dr.backward(image * grad_in)
+            finally:
+                self._sums = False
 
         def aov_names(self):
             return self.layers.channel_names()
@@ -356,7 +380,7 @@ def trace_paths(
     path.active &= path.depth < largest_depth
     path.pi = surfaces.ray_intersect_preliminary(path.ray, coherent=True, active=path.active)
 
-    while path.active:
+    while dr.hint(path.active, max_iterations=scene.max_iterations):
         # ---------------------- Media along the ray ----------------------
 
         free_flight = sample_free_flight(scene, path, sampler)
@@ -458,7 +482,7 @@ def add_entered_light(scene: PathScene, path: PathState, free_flight: FreeFlight
     active &= lamp != NONE
     # A lamp's light comes whole, whether or not the medium scatters the ray in its box.
     ahead = divided.owners.of(path.pi.shape, active & path.pi.is_valid())
-    while active:
+    while dr.hint(active, max_iterations=scene.max_iterations):
         far = divided.end(path.ray, path.pi.t, lamp, ahead, active)
         emitter = scene.emitter(lamp, active)
         emitter_pmf = scene.selection.pmf(emitter, path.si_prev, active)
@@ -509,7 +533,8 @@ def end_segment(scene: PathScene, path: PathState, free_flight: FreeFlight) -> H
         if owners.scatter:
             owner = dr.select(hit_medium, owners.of_medium(path.medium, hit_medium), owner)
         shown |= (owner == path.self_emission) & (owner != NONE)
-        straight = owner != path.on_lamp
+        # The light field has the straight light of lamps with derivatives by their pose.
+        straight = (owner != path.on_lamp) & (not scene.lamps.tracked)
         for lamp in path.bent_by:
             straight &= owner != lamp
     return Hit(si, si.bsdf(path.ray), hit_surface, hit_medium, owner, shown, straight)
@@ -584,7 +609,7 @@ def add_emitter_light(
 
     Visibility is evaluated before the light of a baked luminaire, which costs more.
     """
-    si, ds, active = vertex.si, choice.sampled.ds, choice.active
+    si, ds, active = vertex.si, dr.detach(choice.sampled.ds), choice.active
     active &= ~(vertex.opaque & on_opposite_sides(si, path.ray.d, ds.d))
     light = path.β * scattering.value_em
     active &= dr.max(light) > 0
@@ -789,8 +814,16 @@ def sample_scattering(
     si, active_medium = vertex.si, vertex.active_medium
     wo = si.to_local(d_em)
     value, pdf, bs, weight = vertex.bsdf.eval_pdf_sample(
-        scene.bsdf_ctx, si, wo, sampler.next_1d(), sampler.next_2d(), vertex.active_surface
+        scene.bsdf_ctx,
+        si,
+        dr.detach(wo),
+        sampler.next_1d(),
+        sampler.next_2d(),
+        vertex.active_surface,
     )
+    if scene.lamps.tracked:
+        # The direction follows the lamp; apart, since the sampled direction does not.
+        value = vertex.bsdf.eval(scene.bsdf_ctx, si, wo, vertex.active_surface)
     phase_wo = mi.Vector3f(0)
     if scene.has_scattering:
         phase = medium_paths.eval_phase(path.medium, path.ray, d_em, active_medium)

@@ -340,10 +340,14 @@ class LampKinds:
 
     Args:
         emitters, pointers: the two lists of them that a scene has.
+
+    Attributes:
+        tracked: whether a lamp has derivatives by its pose (`PlacedLamp.with_derivatives`).
     """
 
     def __init__(self, emitters: list[mi.Emitter], pointers: mi.EmitterPtr) -> None:
         lamps = lamps_of(emitters)
+        self.tracked = any(lamp.moving for lamp in lamps.values())
         self._has_others = len(emitters) > len(lamps)
         numbers = np.array(dr.reinterpret_array(mi.UInt32, pointers))
         # One lamp of each kind, whose code is the same.
@@ -353,8 +357,13 @@ class LampKinds:
         for index, lamp in lamps.items():
             kind = id(lamp.asset), lamp.sampling, lamp.shows_geometry, lamp.lights_inside
             kind_of[numbers[index]] = kinds.setdefault(kind, (len(kinds), lamp))[0]
-        self._lamps = [lamp for _, lamp in kinds.values()]
-        self._has_instances = len(lamps) > len(kinds)
+        self._lamps = [
+            lamp.with_derivatives() if self.tracked else lamp for _, lamp in kinds.values()
+        ]
+        # In forward mode derivatives pass through tables, and not through numbers that a function
+        # captures.
+        attached = any(lamp.attaches_gain for lamp in lamps.values())
+        self._has_instances = len(lamps) > len(kinds) or self.tracked or attached
         if self._has_instances:
             kind_of[kind_of < 0] = len(kinds)
             self._kind_of = on_device(mi.UInt32, kind_of)

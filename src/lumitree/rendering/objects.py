@@ -32,6 +32,11 @@ def shape_number(shape: mi.Shape) -> int:
     return int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0])
 
 
+def shape_of(number: int) -> mi.Shape:
+    """The shape of a number."""
+    return dr.reinterpret_array(mi.ShapePtr, mi.UInt32(number))[0]
+
+
 def medium_number(medium: mi.Medium) -> int:
     """The number that stands for a medium in arrays of mi.MediumPtr."""
     return int(dr.reinterpret_array(mi.UInt32, mi.MediumPtr(medium))[0])

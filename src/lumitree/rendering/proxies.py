@@ -326,6 +326,8 @@ class DividedScene:
     def __init__(self) -> None:
         self._shapes: list[mi.Shape] | None = None
         self._parameters: list[list[object]] = []
+        # Poses of all lamps, and of those whose surfaces are traced.
+        self._poses: tuple[list[bytes], list[bytes]] = [], []
         self._surfaces: mi.Scene | None = None
         self._outside_lamps: mi.Scene | None = None
         # The surfaces that belong to no lamp, and pairs of lamps that overlap.
@@ -346,13 +348,17 @@ class DividedScene:
             return Divided(scene, Proxies([]), None, False, Owners({}))
         groups = shape_groups(scene)
         parameters = [_parameters(shape) for shape in [*groups, *surfaces]]
+        poses = [lamp.numbers.tobytes() for lamp in lamps.values()]
+        moving = [lamp.numbers.tobytes() for lamp in lamps.values() if lamp.shape_numbers]
         same = surfaces == self._shapes and all(map(_same, parameters, self._parameters))
+        same &= moving == self._poses[1]
         # Another scene may have the same surfaces and other lamps.
-        if not (same and [lamp() for lamp in self._lit] == list(lamps.values())):
+        lit = [lamp() for lamp in self._lit] == list(lamps.values())
+        if not (same and lit and poses == self._poses[0]):
             if not same:
                 self._surfaces = _scene_of(groups, surfaces)
             self._outside_lamps = None
-            self._shapes, self._parameters = surfaces, parameters
+            self._shapes, self._parameters, self._poses = surfaces, parameters, (poses, moving)
             owned = {number for lamp in lamps.values() for number in lamp.shape_numbers}
             self._others = [each for each in surfaces if shape_number(each) not in owned]
             self._overlaps = _light_insides(list(lamps.values()), self._others)
@@ -384,8 +390,10 @@ def _light_insides(lamps: list[PlacedLamp], others: list[mi.Shape]) -> list[tupl
         if lamps[i].shows_geometry or lamps[j].shows_geometry:
             lit[[i, j]] = True
             pairs.append((i, j))
-    for index in np.flatnonzero(lit):
-        lamps[index].light_inside()
+    for lamp, lights in zip(lamps, lit, strict=True):
+        lamp.lights_inside = False
+        if lights:
+            lamp.light_inside()
     return pairs
 
 

@@ -14,8 +14,9 @@ first three take the same properties:
 `lumitree_proxy` is the proxy, a `lumitree_box`, with the emitter and the BSDF attached, for scene
 files. With the appearance "geometry" it is several shapes: the proxy and the
 luminaire's.
-L_o = gain · L_e + T · L_i (Eq. 2): the emitter returns gain · L_e, the BSDF T. The gain is
-a differentiable parameter of `mitsuba.traverse`, `<name of the shape>.emitter.gain`.
+L_o = gain · L_e + T · L_i (Eq. 2): the emitter returns gain · L_e, the BSDF T. The gain and the
+pose are differentiable parameters of `mitsuba.traverse`, `<name of the shape>.emitter.gain` and
+`.to_world`; docs/how-to/fit-a-lamp.md states what their derivatives ignore.
 """
 
 import os

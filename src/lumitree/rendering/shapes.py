@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from lumitree.asset.asset import Asset
 from lumitree.core.arguments import check_gain
 from lumitree.core.frames import similarity_scale
-from lumitree.core.mitsuba_meshes import copy_mesh
+from lumitree.core.mitsuba_meshes import change_mesh, copy_mesh, hidden_mesh_class, mesh_arrays
 from lumitree.lamp.media import media_of, scatters
 from lumitree.rendering.asset_cache import file_name, open_asset
 from lumitree.rendering.emitter import (
@@ -103,30 +103,35 @@ def _proxy(
     options: dict[str, object],
 ) -> _Shape:
     """The surface, larger than the box by a margin, with emitter and BSDF attached."""
-    scale = np.diag([*(asset.frame.half_extents + margin), 1])
     return _Shape(
         type="lumitree_box",
-        to_world=mi.ScalarTransform4f(matrix @ asset.frame.world_from_local @ scale),
+        to_world=_from_cube(asset, matrix, margin),
         emitter={"type": "lumitree", "gain": gain, **options},
         bsdf={"type": "lumitree_null", **options},
     )
 
 
+def _from_cube(asset: Asset, matrix: NDArray[np.float64], margin: float) -> mi.ScalarTransform4f:
+    """Transform of [-1, 1]³ to the surface of the proxy."""
+    scale = np.diag([*(asset.frame.half_extents + margin), 1])
+    return mi.ScalarTransform4f(matrix @ asset.frame.world_from_local @ scale)
+
+
 def box_class() -> type:
     """Class of the shape for the variant of Mitsuba that is set, whose base class it extends."""
 
-    class LumitreeBox(mi.Mesh):
-        _made = False
-
+    class LumitreeBox(hidden_mesh_class()):
         def __init__(self, props: mi.Properties) -> None:
             copy_mesh(self, make_object("cube", {"to_world": props["to_world"]}), props)
-            self._made = True
+            self.shown = ("emitter",)
 
-        def traverse(self, callback):
-            if self._made:
-                callback.put("emitter", self.emitter(), mi.ParamFlags.Differentiable)
-            else:
-                super().traverse(callback)
+        def follow(self, scene_from_world: NDArray[np.float64]) -> None:
+            """Move with its lamp."""
+            lamp = self.emitter().lamp
+            margin = GEOMETRY_MARGIN if lamp.shows_geometry else 0.0
+            to_world = _from_cube(lamp.asset, scene_from_world, margin)
+            change_mesh(self, mesh_arrays(make_object("cube", {"to_world": to_world})))
+            self.bsdf().placed.place(scene_from_world)
 
         def to_string(self) -> str:
             return "LumitreeBox[]"

@@ -23,8 +23,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import gaussian_filter, median_filter
 
 from lumitree.asset.array_stream import Arrays
 from lumitree.core.arguments import check_gain
@@ -38,7 +38,6 @@ from lumitree.core.photometry import (
 )
 from lumitree.core.results import Json
 from lumitree.errors import LumitreeError
-from lumitree.lamp.source import source_kind
 from lumitree.rendering.photograph import (
     BLOOM,
     FILTER,
@@ -49,6 +48,7 @@ from lumitree.rendering.photograph import (
     light_on_scene,
     white_radiance,
 )
+from lumitree.rendering.placement import Placement, placements_toml
 from lumitree.viewer.packing import packed_arrays
 from lumitree.viewer.view import page_file, web_page
 
@@ -97,6 +97,7 @@ def dimmer_page(
         LumitreeError: there are too many layers or pixels.
     """
     lit = {name: np.maximum(light, 0) for name, light in layers.items() if light.any()}
+    lit = dict(sorted(lit.items(), key=lambda item: item[0] == "room"))
     height, width = next(iter(layers.values())).shape[:2]
     texels = height * width * (len(lit) + 1)
     if not lit:
@@ -238,16 +239,17 @@ def _filtered(
     if not deviation:
         yield from ((layer, code) for layer in layers)
         return
-    # Else an emitter would be seen in the layers of other lamps.
-    kept, window = total < _EMITTER * white, (deviation, deviation, 0)
+    # Else an emitter would be seen in the layers of other lamps. Single bright pixels are noise.
+    kept = median_filter(total.max(axis=-1, keepdims=True), (5, 5, 1)) < _EMITTER * white
+    window = (deviation, deviation, 0)
     code = np.where(kept, _code(gaussian_filter(kept * total, window) / white), code)
     for layer in layers:
         yield np.where(kept, gaussian_filter(kept * layer, window), layer), code
 
 
-def _code(radiance: Any) -> Any:
+def _code(radiance: ArrayLike) -> NDArray[np.floating]:
     """u of radiance relative to white."""
-    return np.log2(1 + np.minimum(radiance, _LARGEST) / _LEAST)
+    return np.log2(1 + np.minimum(np.asarray(radiance), _LARGEST) / _LEAST)
 
 
 def _differences(codes: NDArray[np.int32]) -> Iterator[NDArray[np.int32]]:
@@ -348,7 +350,7 @@ def _lamps(
             "tint": shown.tolist(),
             "own": None if np.isnan(kelvin) else kelvin,
             "factors": check_gain(placement.pop("gain", 1.0)),
-            "placement": _toml(placement),
+            "placement": _table(name, placement),
         }
     return found
 
@@ -362,20 +364,18 @@ def _placements(rendered: str | None) -> dict[str, Any]:
         return {}
 
 
-def _toml(placement: Mapping[str, Any]) -> str | None:
-    """Lines of a placement in a TOML file; None for the layer of the room.
-
-    JSON of numbers, of lists of them and of text is TOML, too.
-    """
-    source = placement.get("source")
-    if not isinstance(source, str):
+def _table(name: str, described: Mapping[str, Any]) -> str | None:
+    """A placement as the table of a TOML file, without its gain; None for other light."""
+    options: dict[str, Any] = {}
+    for key in ("at", "size", "rotate", "lumens", "temperature"):
+        if (value := described.get(key)) is not None:
+            options[key] = tuple(value) if isinstance(value, list) else value
+    try:
+        placement = Placement(described["source"], **options, label=name)
+        table = placements_toml([placement], ".")
+    except (LumitreeError, KeyError, TypeError):
         return None
-    keys = ("at", "size", "rotate", "lumens", "temperature")
-    values = {"asset": source} | {key: placement[key] for key in keys if key in placement}
-    lines = [f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in values.items()]
-    if source_kind(source) not in ("asset", "photometric"):
-        lines.append("# An explicit lamp has no gain: bake it.")
-    return "".join(f"{line}\n" for line in lines)
+    return table if placement.is_baked else f"{table}# An explicit lamp has no gain: bake it.\n"
 
 
 def _rounded(values: NDArray[np.float64]) -> list[float]:

@@ -44,7 +44,7 @@ function commandText(gains) {
 function placementsText(gains) {
   const tables = lamps.map(({ name, placement, factors }, i) => {
     const gain = `gain = [${gains[i].map((x, c) => number(x * factors[c])).join(", ")}]`;
-    return placement === null ? `# ${name}: ${gain}, of emitters in the scene` : `[lamps.${JSON.stringify(name)}]\n${placement}${gain}\n`;
+    return placement === null ? `# ${name}: ${gain}, of emitters in the scene` : `${placement}${gain}\n`;
   });
   return tables.join("\n");
 }
@@ -104,8 +104,8 @@ function changeLamp(i, changes) {
 const element = (tag, values) => Object.assign(document.createElement(tag), values);
 function makeRow(lamp, i) {
   const button = element("button", { textContent: lamp.name === "room" ? "room: all other light" : lamp.name, title: `Switch off or on${i < 9 ? `, key ${i + 1}` : ""}` });
-  const dimmer = element("input", { type: "range", min: 0, max: Math.max(200, positionOf(lamp.level)), step: "any" });
-  const colour = element("input", { type: "range", min: Math.log(COLDEST), max: Math.log(HOTTEST), step: "any", className: "colour", title: "Colour temperature; double click: as it was" });
+  const dimmer = element("input", { type: "range", min: 0, max: Math.max(200, positionOf(lamp.level)), step: 0.5 });
+  const colour = element("input", { type: "range", min: Math.log(COLDEST), max: Math.log(HOTTEST), step: 0.01, className: "colour", title: "Colour temperature; double click or Delete: as it was" });
   dimmer.setAttribute("aria-label", `Brightness of ${lamp.name}`);
   colour.setAttribute("aria-label", `Colour temperature of ${lamp.name}`);
   lamp.row = element("section", {});
@@ -114,6 +114,7 @@ function makeRow(lamp, i) {
   dimmer.addEventListener("input", () => changeLamp(i, { on: true, level: levelOf(+dimmer.value) }));
   colour.addEventListener("input", () => changeLamp(i, { kelvin: Math.exp(+colour.value) }));
   colour.addEventListener("dblclick", () => changeLamp(i, { kelvin: null }));
+  colour.addEventListener("keydown", event => { if (event.key === "Delete") changeLamp(i, { kelvin: null }); });
   return lamp.row;
 }
 

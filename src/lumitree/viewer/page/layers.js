@@ -85,6 +85,7 @@ async function loadLayers(note) {
     for (let c = 0; c < 3; ++c) sum[k + c] = sum[k + c] ? of(2 * total[c]) / sum[k + c] : 0;
   }
   fillLayer(image.light, count, gl.RGBA, sum);
+  if (gl.getError()) fail("The layers are too large for this GPU.");
   const defines = `#define COUNT ${count}\n`, half = (size, filter) => makeTarget(size, gl.RGBA16F, filter);
   image.sum = makeProgram("sum", defines);
   image.probe = makeProgram("sum", `${defines}#define PROBE\n`);
