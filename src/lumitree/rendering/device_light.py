@@ -222,7 +222,6 @@ class CellLight:
         x: mi.Point3f,
         sample: mi.Point2f,
         active: mi.Bool | bool = True,
-        *,
         smooth: bool = False,
     ) -> tuple[mi.Vector3f, Target]:
         """Direction towards a point of a cell of the receiver's level, and the point.
