@@ -38,7 +38,7 @@ def received_irradiance(
     points = np.asarray(points, np.float64).reshape(-1, 3)
     normals = np.asarray(normals, np.float64).reshape(-1, 3)
     for lamp in lamps_of(scene.emitters()).values():
-        lamp.light_inside()
+        lamp.has_receivers = True
     paths = PathScene(scene, DividedScene().of(scene))
     total = np.zeros(points.shape)
     at_once = max(1, _AT_ONCE // len(points))

@@ -239,3 +239,12 @@ def test_bloom_keeps_the_light(shape):
     assert np.array_equal(bloomed(image, 0), image)
     # Uniform light is not changed.
     assert bloomed(np.ones_like(image), 0.2) == pytest.approx(1)
+
+
+def test_gilt_beside_a_bulb_does_not_decide_the_white_balance():
+    """A few blocks of orange light 100 times as bright as the light on the walls."""
+    image, albedo = np.full((64, 96, 3), 0.5), np.full((64, 96, 3), 0.5)
+    expected = PhotoSettings().photograph(image, albedo=albedo).white_balance
+    image[8:16, 8:24], albedo[8:16, 8:24] = (3.0, 1.0, 0.2), 0.06
+    found = PhotoSettings().photograph(image, albedo=albedo).white_balance
+    assert found == pytest.approx(expected, rel=0.05)

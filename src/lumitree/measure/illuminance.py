@@ -355,4 +355,4 @@ def _light_boxes(scene: Any, points: NDArray[np.float64]) -> None:
         box = np.linalg.inv(lamp.scene_from_box)
         local = points @ box[:3, :3].T + box[:3, 3]
         if (np.abs(local) <= 1.01).all(axis=1).any():
-            lamp.light_inside()
+            lamp.has_receivers = True

@@ -90,6 +90,7 @@ class PlacedAsset:
 
     Attributes:
         lights_inside: whether objects of the scene are in the box, and get light there.
+        has_receivers: whether points in the box get light there, too, which are no objects.
         shape_numbers, medium_numbers: of the geometry's shapes and its media that scatter
             (`objects.shape_number`, `medium_number`).
     """
@@ -103,7 +104,7 @@ class PlacedAsset:
         appearance = options.get("appearance", "field")
         check_kinds(self.sampling, appearance)
         self.shows_geometry = shows_geometry(asset, appearance)
-        self.lights_inside = False
+        self.lights_inside = self.has_receivers = False
         self.shape_numbers: list[int] = []
         self.medium_numbers: list[int] = []
         self._margin = GEOMETRY_MARGIN if self.shows_geometry else 0.0
@@ -429,11 +430,11 @@ class PlacedLamp(PlacedAsset):
             return 0.0
         return self.sphere[1] * _CUTOFF_RADIUS * (1 + 1e-4)
 
-    def light_inside(self) -> None:
-        """Light objects in the box from now on, if cells are sampled."""
-        if self.samples_cells:
+    def light_inside(self, has_objects: bool) -> None:
+        """Light the inside of the box if it has objects or receivers, and if cells are sampled."""
+        self.lights_inside = self.samples_cells and (has_objects or self.has_receivers)
+        if self.lights_inside:
             self.device.inside_light(self.traces_straight_light)
-            self.lights_inside = True
 
     def is_summed(self, point: mi.Point3f, active: mi.Bool) -> mi.Bool:
         """Whether `irradiance` has the stored light that receivers at points of the scene get."""

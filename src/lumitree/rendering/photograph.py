@@ -294,9 +294,11 @@ def light_on_scene(
         blocks = blocks / np.maximum(reflected, _LEAST_ALBEDO)
     if not scene.any():
         return None
-    # The mean of a high power is decided by bright surfaces.
-    level = blocks[scene].max()
-    return xyz_from_srgb(((blocks[scene] / level) ** _POWER).mean(axis=0) ** (1 / _POWER))
+    # The mean of a high power is decided by bright surfaces, but not by single ones: gilt beside a
+    # bulb, whose light is not the scene's.
+    light, level = blocks[scene], luminance(blocks[scene])
+    level = np.maximum(level, np.quantile(level, _BRIGHTEST[0]))[:, None]
+    return xyz_from_srgb(((light / level) ** _POWER).mean(axis=0) ** (1 / _POWER))
 
 
 def bloomed(image: NDArray[np.float32], share: float) -> NDArray[np.float32]:

@@ -391,9 +391,7 @@ def _light_insides(lamps: list[PlacedLamp], others: list[mi.Shape]) -> list[tupl
             lit[[i, j]] = True
             pairs.append((i, j))
     for lamp, lights in zip(lamps, lit, strict=True):
-        lamp.lights_inside = False
-        if lights:
-            lamp.light_inside()
+        lamp.light_inside(bool(lights))
     return pairs
 
 

@@ -132,7 +132,7 @@ def test_an_interrupted_refinement_continues(ball, tmp_path, monkeypatch):
     # Not with another asset, even one of the same structure, nor with another seed.
     darker = dataclasses.replace(asset, coefficients=asset.coefficients - np.float16(1))
     for other, seed in ((darker, 0), (asset, 1)):
-        with pytest.raises(LumitreeError, match="unfinished bake of another"):
+        with pytest.raises(LumitreeError, match="unfinished bake with other inputs"):
             refine(other, ball, small_config(), tmp_path / "folder", seed)
     second = refine(asset, ball, small_config(), tmp_path / "folder")
     assert second.stopped_by is None

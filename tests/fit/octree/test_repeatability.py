@@ -51,9 +51,11 @@ def test_no_random_numbers_are_used_twice(bulb, small, tmp_path, seeds):
     assert purposes == set(Purpose) - {
         Purpose.ASSET_FLUX,
         Purpose.CAPTURE,
+        Purpose.CELLS,
+        Purpose.DESIGN,
         Purpose.EXPORT,
+        Purpose.FIELD_RAYS,
         Purpose.PREVIEW,
-        Purpose.FLUX,
         Purpose.ILLUMINANCE,
         Purpose.IRRADIANCE,
         Purpose.LINES,
