@@ -24,7 +24,7 @@ LINES = {
     "formats": 4_100,
     "lamp": 10_450,
     "many": 620,
-    "measure": 6_560,
+    "measure": 6_600,
     "octree": 1_050,
     "rendering": 9_940,
     "trace": 1_900,
@@ -32,7 +32,7 @@ LINES = {
 }
 FILES = 222
 OTHERS = {
-    "lines of tests": 43_230,
+    "lines of tests": 43_300,
     "lines of benchmarks": 10_000,
     "words of docs by hand": 45_000,
     "lines of README.md": 90,

@@ -143,3 +143,28 @@ def test_a_step_is_the_best_within_its_limits():
 def test_wrong_numbers_are_refused(values, message):
     with pytest.raises(LumitreeError, match=message):
         TaskPlane((0, 0, 0), **values)
+
+
+def test_rounding_takes_no_light_away():
+    levels = np.array([1.4e-6, 0.123451, 1e-12, 0.99999])
+    rounded = dimmers(4).rounded(levels)
+    assert (rounded >= levels - 1e-11).all()
+    assert rounded == pytest.approx([1.4e-6, 0.1235, 0, 1])
+    steps = Dimmers(np.arange(2), np.ones(2), brightest=0.001, steps=1000)
+    assert steps.rounded(np.array([0.000482, 0.0])).tolist() == [0.000482, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("needed", "message"),
+    [
+        (
+            {"target": 10.0, "maximum": 15.0},
+            "has 20 lx by light of no lamp, above its maximum of 15",
+        ),
+        ({"target": 1e6}, r"gets at most [\d.]+ of 1e\+06 lx$"),
+        ({"target": 50.0, "uniformity": 1.0}, "gets at most [0-9]+ of 50 lx with the uniformity 1"),
+    ],
+)
+def test_what_is_out_of_reach_is_told_in_numbers(needed, message):
+    with pytest.raises(LumitreeError, match=message):
+        dim_levels([task(**needed)], dimmers(), 2.0)

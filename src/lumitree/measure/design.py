@@ -40,6 +40,8 @@ if TYPE_CHECKING:
 
 OUTPUTS = (".toml", ".json", ".png", ".pdf")
 _MAX_STEPS = 1000
+# A result with less than this part of a target is warned of.
+_MISSED = 0.98
 # Most lamps of `count`, longer over shorter side of a cell of its grid, and least part of the
 # targets by which the next number is estimated.
 _MAX_COUNT, _LONGEST, _LEAST_PART = 256, 2.0, 0.25
@@ -232,6 +234,10 @@ def design(
     if steps is not None:
         check_count("steps", steps, 1, _MAX_STEPS)
     check_range("margin", margin, 0, 10)
+    if region is not None and not (np.array(region[:3]) <= region[3:]).all():
+        raise LumitreeError(
+            f"region is {shown(region, 100)}; expected its smallest x, y, z before its largest"
+        )
     check_seed(seed)
     if not any(plane.target or plane.minimum for plane in planes):
         raise LumitreeError("no plane has a target; give one its target or its minimum, in lux")
@@ -281,11 +287,19 @@ def design(
             lamps, found = Aim(planes, opened, axes, box, dimmers, simulate, seed).search(before)
     with watch.stage("levels"):
         tasks = tasks_of(planes, found)
-        levels = np.round(dim_levels(tasks, dimmers, margin), 4)
+        levels = dimmers.rounded(dim_levels(tasks, dimmers, margin))
     with watch.stage("simulation"):
         placed = [lamp.dimmed(level) for lamp, level in zip(lamps, levels.tolist(), strict=True)]
         again = SeedStream(Purpose.DESIGN, draw=1).seed(seed) & MAX_SEED
         after = illuminance(room, placed, **options, seed=again)
+    for task, new in zip(tasks, after.areas, strict=True):
+        if new.mean < _MISSED * task.plane.target:
+            warnings.warn(
+                f"{shown(new.name, 100)} has {new.mean:.4g} of {task.plane.target:g} lx in the "
+                "simulation of the result; a smaller error helps",
+                LumitreeWarning,
+                stacklevel=2,
+            )
     areas = [
         DesignedArea(task.plane, old, task.figures(old, levels), new)
         for task, old, new in zip(tasks, before.areas, after.areas, strict=True)

@@ -38,6 +38,8 @@ _GAP = 2e-3
 _NODES = 20_000
 # Halvings of the interval in which the largest uniformity is searched for.
 _HALVINGS = 12
+# Levels below this part of the brightest are the solver's zeros.
+_LEAST = 1e-9
 # So large a part of the targets is all of them.
 _ALL = 1 - 1e-6
 
@@ -112,7 +114,9 @@ class Task:
         """Constraints of dim levels x, as `_Constraints` has them."""
         plane = self.plane
         mean, fixed = self.lamps.mean(axis=0), self.fixed.mean()
-        yield -mean[None], np.array([fixed]), plane.target, plane.target
+        # Errors of points are independent of each other.
+        of_mean = np.linalg.norm(np.broadcast_to(margin, len(self.fixed))) / len(self.fixed)
+        yield -mean[None], np.array([fixed - of_mean]), plane.target, plane.target
         if (ratio := plane.uniformity) > 0:
             size = ratio * max(plane.target, plane.minimum)
             yield ratio * mean - self.lamps, self.fixed - ratio * fixed - margin, 0.0, size
@@ -174,6 +178,14 @@ class Dimmers:
     def top(self) -> float:
         """The largest setting."""
         return self.brightest if self.steps is None else float(self.steps)
+
+    def rounded(self, levels: _Array) -> _Array:
+        """Levels [L] of four digits, none smaller than they were; steps as they are."""
+        levels = np.where(levels > _LEAST * self.brightest, levels, 0.0)
+        if self.steps is not None:
+            return np.round(levels, 12)
+        unit = 10.0 ** (np.floor(np.log10(np.maximum(levels, 1e-300))) - 3)
+        return np.minimum(np.round(np.ceil(levels / unit - 1e-6) * unit, 15), self.brightest)
 
 
 def dim_levels(tasks: Sequence[Task], dimmers: Dimmers, margin: float) -> _Array:
@@ -287,7 +299,7 @@ def reachable(tasks: Sequence[Task], dimmers: Dimmers) -> float:
     cost, high[-1] = np.zeros(len(high)), 1.0
     cost[-1] = -1.0
     best = _solve(cost, rows, found.limit, 0 * high, high)
-    return 0.0 if best is None else float(best[-1])
+    return 0.0 if best is None else max(0.0, float(best[-1]))
 
 
 def _solve(
@@ -319,6 +331,10 @@ def _shortage(tasks: Sequence[Task], dimmers: Dimmers) -> str:
         if part >= _ALL:
             continue
         name, plane = shown(task.name, 100), task.plane
+        if plane.maximum is not None and task.fixed.max() > plane.maximum:
+            lux = f"{task.fixed.max():.4g} lx by light of no lamp"
+            parts.append(f"{name} has {lux}, above its maximum of {plane.maximum:g} lx")
+            continue
         even = dataclasses.replace(plane, uniformity=0.0)
         most = reachable([dataclasses.replace(task, plane=even)], dimmers)
         if most < _ALL:
@@ -339,12 +355,17 @@ def _shortage(tasks: Sequence[Task], dimmers: Dimmers) -> str:
     part = reachable(tasks, dimmers)
     if part >= _ALL:
         return f"{dimmers.steps} dimming steps are too coarse for the targets; give more"
-    each = "; ".join(
+    each = [
         f"{_amounts(task.plane, part)} for {shown(task.name, 100)}"
         for task in tasks
         if task.plane.target or task.plane.minimum
-    )
-    return f"the targets cannot be reached together, only {part:.0%} of them: {each}"
+    ]
+    each += [
+        f"at most {task.plane.maximum:g} lx for {shown(task.name, 100)}"
+        for task in tasks
+        if task.plane.maximum is not None
+    ]
+    return f"the targets cannot be reached together, only {part:.0%} of them: {'; '.join(each)}"
 
 
 def _amounts(plane: TaskPlane, part: float) -> str:

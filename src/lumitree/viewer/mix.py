@@ -57,7 +57,7 @@ class ImageLayers:
         else:
             found = _read(layers)
         shapes = {np.shape(colour) for colour in found.light.values()}
-        alike = len(shapes) == 1 and all(len(s) == 3 and s[2] == 3 for s in shapes)
+        alike = len(shapes) == 1 and all(len(s) == 3 and s[2] == 3 and min(s) for s in shapes)
         # Other files have other channels too, such as AOVs.
         if not alike or (found.file is not None and "RGB" in found.light):
             raise LumitreeError(
