@@ -246,11 +246,11 @@ def test_gains_of_many_lamps_are_joined_with_their_derivatives(mi):
     """In groups: one kernel of 1,000 arrays takes minutes to compile."""
     import drjit as dr
 
-    from lumitree.rendering.emitter import joined_colours
+    from lumitree.rendering.emitter import joined
 
     colours = [mi.Color3f(index, 2 * index, 3 * index) for index in range(300)]
     dr.enable_grad(colours[170])
-    found = joined_colours(colours)
+    found = mi.Color3f(*joined([list(each) for each in colours]))
     expected = np.arange(300) * np.array([[1], [2], [3]])
     assert np.array_equal(np.array(found), expected)
     dr.forward(colours[170].y)

@@ -229,6 +229,10 @@ def placements_toml(placements: Sequence[Placement], folder: FilePath) -> str:
 def write_placements(path: FilePath, placements: Sequence[Placement]) -> None:
     """Write a TOML file of placements, as `read_placements` reads it.
 
+    Args:
+        path: path of the file; sources are written relative to its folder.
+        placements: lamps with labels, whose sources are files or built-in lamps.
+
     Raises:
         LumitreeError: as for `placements_toml`; or the file cannot be written.
     """
