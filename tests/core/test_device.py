@@ -2,10 +2,13 @@
 
 import dataclasses
 import gc
+import threading
 import weakref
 
 import numpy as np
 import pytest
+
+from support.kernels import kernels_of
 
 
 def test_values_are_copied_flattened_and_converted(mi):
@@ -80,3 +83,54 @@ def test_the_copies_of_an_asset_do_not_keep_it(mi):
     del asset, device
     gc.collect()
     assert owner() is None
+
+
+def test_arrays_one_after_the_other_and_their_derivatives(mi):
+    import drjit as dr
+
+    from lumitree.core.device import concatenate
+
+    parts = [mi.Float(1, 2, 3), mi.Float(4), mi.Float(), mi.Float(5, 6)]
+    dr.enable_grad(parts[0])
+    joined = concatenate(parts)
+    assert np.array_equal(joined, [1, 2, 3, 4, 5, 6])
+    dr.backward(dr.square(joined))
+    assert np.array_equal(parts[0].grad, [2, 4, 6])
+
+
+def test_kernels_do_not_depend_on_numbers_of_lanes_or_seeds(mi):
+    from lumitree.core.device import as_rows, channel_mean, concatenate, random_numbers
+
+    def compute(count, seed):
+        random = random_numbers(count, seed)
+        colour = mi.Color3f(*(random.next_float32() for _ in range(3)))
+        mean = channel_mean(colour)
+        rows = as_rows(colour)
+        assert np.array(mean) == pytest.approx(rows.mean(axis=1))
+        concatenate([mean, mi.Float(mean)]).numpy()
+
+    first = kernels_of(lambda: compute(100, 1))
+    assert first
+    assert kernels_of(lambda: compute(117, 2**40)) == first
+
+
+def test_shared_data_of_another_thread_can_be_used(mi):
+    """Mitsuba creates plugins in threads, whose variables are of later scopes."""
+    import drjit as dr
+
+    from lumitree.core.device import shared
+
+    class Owner:
+        pass
+
+    owner = Owner()
+    dr.detail.new_scope(dr.backend_v(mi.Float))
+
+    def make():
+        dr.detail.new_scope(dr.backend_v(mi.Float))
+        shared(owner, "values", lambda: mi.Float(1, 2) + 1)
+
+    thread = threading.Thread(target=make)
+    thread.start()
+    thread.join()
+    assert np.array_equal(2 * shared(owner, "values", lambda: None), [4, 6])

@@ -34,16 +34,22 @@ def shared(owner: object, key: Hashable, make: Callable[[], T]) -> T:
         key: that stands for it among the owner's data.
         make: function that makes it.
     """
+    import drjit as dr
     import mitsuba as mi
 
     with _LOCK:
         known = _SHARED.setdefault(owner, {})
-    key = str(mi.variant()), key
+    key, backend = (str(mi.variant()), key), dr.backend_v(mi.Float)
     if key not in known:
         # Mitsuba creates plugins in parallel, and a thread that waits for the device may create
         # others meanwhile. So the lock is not held here; of two copies, the first is kept.
-        known.setdefault(key, make())
-    return known[key]
+        made = make()
+        known.setdefault(key, (made, dr.detail.scope(backend)))
+    made, scope = known[key]
+    # Such a thread has a scope of its own, and may read variables of earlier scopes only.
+    if scope > dr.detail.scope(backend):
+        dr.detail.new_scope(backend)
+    return made
 
 
 def parameter(kind: Callable[..., T], *values: float) -> T:
@@ -61,6 +67,49 @@ def parameter(kind: Callable[..., T], *values: float) -> T:
     result = kind(*values)
     dr.make_opaque(result)
     return result
+
+
+def random_numbers(count: int, seed: int) -> "mi.PCG32":
+    """Generators of `count` independent streams, whose seed is a `parameter`."""
+    import mitsuba as mi
+
+    return mi.PCG32(count, initstate=parameter(mi.UInt64, seed))
+
+
+def channel_mean(values: Any) -> "mi.Float":
+    """Mean of the components of a vector, such as a colour, for each lane.
+
+    `dr.mean` of Dr.Jit 1.5 puts the number of lanes into the code of the kernel.
+    """
+    import drjit as dr
+
+    return dr.sum(values) / len(values)
+
+
+def concatenate(arrays: Iterable[T]) -> T:
+    """Flat device arrays, one after the other; derivatives pass through.
+
+    `dr.concat` of Dr.Jit 1.5 puts the lengths of the arrays into the code of kernels.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    parts = list(arrays)
+    result = dr.zeros(type(parts[0]), sum(map(dr.width, parts)))
+    parts = [part for part in parts if dr.width(part)]
+    first = 0
+    for part in parts:
+        index = parameter(mi.UInt32, first) + dr.arange(mi.UInt32, dr.width(part))
+        dr.scatter(result, part, index)
+        first += dr.width(part)
+    return result
+
+
+def as_rows(vectors: Any) -> NDArray[np.float64]:
+    """Dr.Jit vectors of three components as an array [N, 3]."""
+    # Each by itself: the number of vectors would be a part of a kernel's code.
+    components = (np.array(each, np.float64) for each in vectors)
+    return np.array(np.broadcast_arrays(*components)).T
 
 
 def transforms_as_parameters(shapes: "Iterable[mi.Shape]") -> None:

@@ -5,6 +5,7 @@ import dataclasses
 from lumitree.asset.asset import Asset
 from lumitree.asset.light_field import make_light_field
 from lumitree.core.backend import load_mitsuba
+from lumitree.core.device import as_rows
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
 
@@ -25,7 +26,6 @@ def with_field_light(asset: Asset) -> Asset:
     from lumitree.core.octahedral import intensity_of_histogram
     from lumitree.rendering.asset_flux import AssetRays
     from lumitree.trace.histograms import Histogram
-    from lumitree.trace.light_paths import as_rows
 
     rays, histogram = AssetRays(asset.without_factors), Histogram(_DEPTH, _RESOLUTION)
     with progress("light", _BATCHES) as advance:

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.alias_table import alias_rows
-from lumitree.core.device import on_device, parameter
+from lumitree.core.device import channel_mean, on_device, parameter
 from lumitree.core.mitsuba_meshes import mesh_triangles
 from lumitree.lamp.scene_shapes import referred
 
@@ -197,7 +197,7 @@ class EmittingSurfaces:
         si.wi = mi.Vector3f(0, 0, 1)
         if mi.is_spectral:
             si.wavelengths = type(si.wavelengths)(*_WAVELENGTHS)
-        values = dr.mean(radiance(si, index), axis=0)
+        values = channel_mean(radiance(si, index))
         found = np.array(dr.select(si.is_valid(), values, 0), np.float64)
         return np.maximum(found.reshape(points, count).mean(axis=0), 0)
 

@@ -56,7 +56,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.materials import MetallicRoughness
-from lumitree.core.device import on_device, parameter
+from lumitree.core.device import channel_mean, on_device, parameter
 
 Floats = NDArray[np.float64]
 
@@ -359,10 +359,10 @@ class _Point:
         """Probabilities of the lobes, in proportion to their albedo."""
         bsdf, (tinted, grazing) = self.bsdf, self.albedo
         lost, under, glass, coat = self.passed
-        base, tint = dr.mean(self.base), dr.mean(self.tint)
+        base, tint = channel_mean(self.base), channel_mean(self.tint)
         mirrored = self.layer(tinted, grazing)
         facet = self.metal * (base * tinted + grazing) + self.opaque * mirrored
-        diffuse = self.metal * dr.mean(self.rebound) * lost
+        diffuse = self.metal * channel_mean(self.rebound) * lost
         diffuse += self.opaque * (1 - self.behind) * (base + 0.2 * self.sheen) * under
         behind = through = mi.Float(0)
         if bsdf.transmits:
@@ -394,8 +394,8 @@ class _Point:
         crossed = self.clear * self.tint * (1 - layer)
         reflected = reflected if self.enabled[_FACET] else mi.Spectrum(0)
         crossed = crossed if self.enabled[_CROSSED] else mi.Spectrum(0)
-        both = dr.mean(reflected) + dr.mean(crossed)
-        return reflected, crossed, dr.select(both > 0, dr.mean(reflected) / both, 0)
+        both = channel_mean(reflected) + channel_mean(crossed)
+        return reflected, crossed, dr.select(both > 0, channel_mean(reflected) / both, 0)
 
     def evaluate(self, wo: mi.Vector3f) -> tuple[mi.Spectrum, mi.Float]:
         """Value, and density for a second direction."""

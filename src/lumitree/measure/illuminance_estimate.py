@@ -39,7 +39,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.device import on_device
+from lumitree.core.device import as_rows, on_device, random_numbers
 from lumitree.core.photometry import LUMENS_PER_WATT, luminance
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
@@ -482,10 +482,10 @@ def _summed(
             si = receivers(points[index], normals[index], count)
             found: dict[int, _Array] = {}
             for number, (emitter, lamp) in enumerate(lamps.items()):
-                random = mi.PCG32(dr.width(si.p), stream.seed(seed, number))
+                random = random_numbers(dr.width(si.p), stream.seed(seed, number))
                 summed = lamp.is_summed(si.p, dr.full(mi.Bool, True, dr.width(si.p)))
                 light = lamp.irradiance(si.p, mi.Vector3f(si.n), random, summed) & summed
-                lux = luminance(np.array(light).T).reshape(len(index), count)
+                lux = luminance(as_rows(light)).reshape(len(index), count)
                 group = int(group_of[emitter])
                 found[group] = found.get(group, 0) + lux
             for group, lux in found.items():

@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
 from lumitree.asset.light_field import LightField, unpack
-from lumitree.core.device import shared
+from lumitree.core.device import as_rows, shared
 from lumitree.core.octahedral import middle_directions, solid_angles
 from lumitree.core.photometry import LUMENS_PER_WATT, blackbody_colour, luminance
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.errors import LumitreeError, shown
 from lumitree.rendering.device import DeviceAsset
-from lumitree.trace.light_paths import RayBatch, as_rows, seeded_sampler
+from lumitree.trace.light_paths import RayBatch, seeded_sampler
 
 # Rays that estimate the flux of a field, to about 0.1 to 0.5 %, in some tenths of a second.
 FIELD_RAYS = 1 << 20

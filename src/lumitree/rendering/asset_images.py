@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset, light_field_asset
 from lumitree.asset.light_field import make_light_field
-from lumitree.core.device import on_device, transforms_as_parameters
+from lumitree.core.device import channel_mean, on_device, transforms_as_parameters
 from lumitree.core.frames import similarity_scale
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
@@ -254,7 +254,7 @@ def vertex_radiance(
             ray = mi.RayDifferential3f(mi.Ray3f(point + _ABOVE * away, -away))
             radiance, _, _ = integrator.sample(scene, sampler, ray, None, seen)
             colour = mi.Color3f(radiance)
-            known = (*colour, dr.square(dr.mean(colour)), mi.Float(1))
+            known = (*colour, dr.square(channel_mean(colour)), mi.Float(1))
             values = [dr.select(seen, each, 0) for each in known]
             # Else each sum would trace the paths again.
             dr.eval(weights, values)

@@ -65,7 +65,7 @@ from lumitree.asset.light_field import (
     unpack,
 )
 from lumitree.core.alias_table import AliasTable
-from lumitree.core.device import on_device, parameter
+from lumitree.core.device import as_rows, on_device, parameter, random_numbers
 from lumitree.core.octahedral import (
     bin_of,
     coarse_bin,
@@ -397,9 +397,9 @@ class DeviceLight(CellLight):
         x, n = (on_device(mi.Point3f, each) for each in points_around(self._half_extents))
         found = []
         for level in range(len(self.levels)):
-            random = mi.PCG32(dr.width(x), initstate=dr.opaque(mi.UInt64, level))
+            random = random_numbers(dr.width(x), level)
             light = self.irradiance(x, mi.Vector3f(n), random, mi.Bool(True), level)
-            found.append(luminance(np.array(light).T).reshape(-1, POINTS).mean(axis=1))
+            found.append(luminance(as_rows(light)).reshape(-1, POINTS).mean(axis=1))
         first, *sums = found
         error = np.array([np.sqrt(np.square(each - first).mean()) for each in sums])
         # A lamp whose light is all straight has next to no bent light.

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset
 from lumitree.core.arguments import check_choice, check_gain
-from lumitree.core.device import on_device, parameter
+from lumitree.core.device import concatenate, on_device, parameter
 from lumitree.core.frames import similarity_scale
 from lumitree.core.photometry import LUMENS_PER_WATT, luminance
 from lumitree.errors import LumitreeError
@@ -837,7 +837,7 @@ def joined(rows: list[Sequence[mi.Float]]) -> Sequence[mi.Float]:
     """Evaluated arrays of several rows, each joined over the rows; derivatives pass through."""
     while len(rows) > 1:
         groups = [rows[i : i + _JOINED] for i in range(0, len(rows), _JOINED)]
-        rows = [[dr.concat(list(each)) for each in zip(*group, strict=True)] for group in groups]
+        rows = [[concatenate(each) for each in zip(*group, strict=True)] for group in groups]
         for row in rows:
             dr.eval(row)
     return rows[0]

@@ -23,7 +23,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.device import on_device, parameter
+from lumitree.core.device import channel_mean, on_device, parameter
 from lumitree.core.photometry import LUMA
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.rendering.photograph import Highlights
@@ -134,7 +134,7 @@ class Seen(Unrecorded):
 
 def _squares(record: dict[str, Any]) -> list[mi.Float]:
     """As `Recorded.squares`, of paths."""
-    greys = [dr.minimum(dr.mean(colour), _MAX_RADIANCE) for colour in record["seen"]]
+    greys = [dr.minimum(channel_mean(colour), _MAX_RADIANCE) for colour in record["seen"]]
     whole = dr.minimum(sum(greys, mi.Float(0)), _MAX_RADIANCE)
     return [grey * whole for grey in greys]
 

@@ -22,7 +22,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.device import parameter
+from lumitree.core.device import parameter, random_numbers
 from lumitree.core.octahedral import bin_of, direction_in_bin
 
 # Part of the samples of a cell that is by flux alone.
@@ -78,12 +78,12 @@ def cell_rows(
 
     def square(first: int) -> mi.Float:
         points = _ROWS_AT_ONCE * _POINTS_PER_CELL
-        rng = mi.PCG32(points, initstate=dr.opaque(mi.UInt64, first))
+        rng = random_numbers(points, first)
         row = dr.opaque(mi.UInt32, first) + dr.arange(mi.UInt32, points) // _POINTS_PER_CELL
         sample = mi.Point2f(rng.next_float32(), rng.next_float32())
         x = receivers.point(row, sample, rng.next_float32())
         cell = dr.arange(mi.UInt32, _ROWS_AT_ONCE * len(flux))
-        random = mi.PCG32(dr.width(cell), initstate=dr.opaque(mi.UInt64, first))
+        random = random_numbers(dr.width(cell), first)
         found = _mean_square(
             x, cell // count, cell % count, corners, intensity, scale, soft, random
         )

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.arguments import check_count, check_image_settings
-from lumitree.core.device import parameter
+from lumitree.core.device import channel_mean, parameter
 from lumitree.core.executor import run_tasks
 from lumitree.core.files import exclusive
 from lumitree.core.frames import FIRST_TEST_INDEX, rows_of, view_pose
@@ -123,7 +123,7 @@ def straight_through(scene, sampler, ray, path_depth):
         active &= (crossings < path_depth) & (dr.max(throughput) > 0)
 
     straight = passed & (dr.dot(ray.d, direction) >= COSINE_OF_CONE)
-    return dr.select(straight, dr.mean(throughput), 0), emitted
+    return dr.select(straight, channel_mean(throughput), 0), emitted
 
 
 @dataclasses.dataclass(frozen=True)

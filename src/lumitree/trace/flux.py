@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.asset.asset import EmittedSpectrum
+from lumitree.core.device import as_rows
 from lumitree.core.photometry import (
     Flux,
     MissedFlux,
@@ -31,7 +32,7 @@ from lumitree.lamp.luminaire import Luminaire
 from lumitree.lamp.scene_shapes import SceneShape, shapes_of_scene
 from lumitree.trace import medium_paths
 from lumitree.trace.cameras import PATH_DEPTH, check_finite, path_integrator
-from lumitree.trace.light_paths import LampRays, as_rows, emit, emitted_flux, seeded_sampler
+from lumitree.trace.light_paths import LampRays, emit, emitted_flux, seeded_sampler
 from lumitree.trace.medium_paths import coefficients, medium_after
 from lumitree.trace.spawning import scene_extent, spawn
 

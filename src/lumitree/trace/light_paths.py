@@ -25,6 +25,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.core.device import as_rows
 from lumitree.core.frames import from_viewer
 from lumitree.lamp.luminaire import Luminaire
 from lumitree.trace import medium_paths
@@ -82,13 +83,6 @@ def seeded_sampler(seed: int, count: int) -> mi.Sampler:
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(seed, count)
     return sampler
-
-
-def as_rows(vectors: Any) -> NDArray[np.float64]:
-    """Dr.Jit vectors of three components as an array [N, 3]."""
-    # Each by itself: the number of vectors would be a part of a kernel's code.
-    components = (np.array(each, np.float64) for each in vectors)
-    return np.array(np.broadcast_arrays(*components)).T
 
 
 @dataclasses.dataclass

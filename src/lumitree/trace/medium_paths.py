@@ -20,6 +20,7 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 
+from lumitree.core.device import channel_mean
 from lumitree.trace.spawning import spawn
 
 # Surfaces that a ray crosses to the first border of a medium.
@@ -200,7 +201,7 @@ def _weighted(
 ) -> tuple[mi.Spectrum, mi.Spectrum]:
     """A value over the mean density of the channels, and the new ρ."""
     densities = ρ * density
-    mean = dr.mean(densities)
+    mean = channel_mean(densities)
     inverse = dr.select(mean > 0, dr.rcp(mean), 0)
     return value * inverse, densities * inverse
 

@@ -22,6 +22,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.core.device import random_numbers
 from lumitree.core.frames import LocalFrame
 from lumitree.core.octahedral import bin_of, coarse_bin
 from lumitree.core.photometry import LUMA
@@ -101,7 +102,7 @@ class Reservoir:
         """The reservoir of `count` paths; the world of `frame` is the frame of the scene."""
         to_local, side = mi.Transform4f(frame.local_from_world), mi.Float(1 << config.depth)
         dr.make_opaque(to_local, side)
-        random = mi.PCG32(count, initstate=dr.opaque(mi.UInt64, config.seed))
+        random = random_numbers(count, config.seed)
         total, bent, unlimited = (dr.zeros(mi.Float, count) for _ in range(3))
         kept = dr.zeros(_Segment, count)
         return Reservoir(random, to_local, side, total, bent, unlimited, kept)
@@ -191,7 +192,7 @@ def bin_segments(
     """
     # Light starts anywhere in its cell, and so its reach is from there on.
     side = 2 / (1 << depth)
-    random = mi.PCG32(flux.shape[1], initstate=dr.opaque(mi.UInt64, seed))
+    random = random_numbers(flux.shape[1], seed)
     start = mi.Vector3f(random.next_float32(), random.next_float32(), random.next_float32())
     within = (mi.Vector3f(segments.origin) + 1) / side
     moved = (within - dr.floor(within) - start) * side

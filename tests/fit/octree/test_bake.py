@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from lumitree.errors import LumitreeError, LumitreeWarning
-from support.fields import leaf_field
+from support.fields import leaf_field, uniform_asset
+from support.kernels import kernels_of
 from support.lamps import AREA, cube, sphere
 from support.slow import slow
 from support.tiny_bakes import SMALLEST, octree_config
@@ -57,6 +58,27 @@ def test_baked_flux_is_the_traced_flux(ball, law, tmp_path):
     # Cells of an eighth of the radius: a channel may have a larger error than all together.
     assert flux == pytest.approx(expected, rel=0.02)
     assert flux.sum() == pytest.approx(expected.sum(), rel=0.015)
+
+
+def test_steps_run_the_same_kernels(ball):
+    """Numbers of rays, which differ, in the code of a kernel would compile another each step."""
+    from lumitree.fit.octree.descent import HeldOut, Refiner
+    from lumitree.fit.octree.rays import TracedRays
+
+    settings = small_config()
+    source = TracedRays(ball, 1 / 8, seed=3)
+    refiner = Refiner(
+        leaf_field(uniform_asset(0.5, (0.2, 0.2, 0.2))), source, 12, settings.refine, settings.split
+    )
+
+    def step():
+        counts.append(refiner.advance(0.5))
+        HeldOut.trace(source, 10 + refiner.step, settings.held_out).score(refiner.field)
+
+    counts = []
+    known = kernels_of(step) | kernels_of(step)
+    assert kernels_of(step) <= known
+    assert len(set(counts)) == 3
 
 
 def test_a_field_that_cannot_be_bright_enough_is_told(lamp, tmp_path):

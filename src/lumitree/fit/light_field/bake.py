@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from lumitree.asset.light_field import MAX_DEPTH, LightField, TracedPaths, make_light_field
 from lumitree.asset.light_field_file import LightDescription, build_light_field, stored_light_field
 from lumitree.core.checkpoint import Checkpoint
+from lumitree.core.device import as_rows
 from lumitree.core.executor import run_tasks
 from lumitree.core.files import json_text
 from lumitree.core.octahedral import bin_solid_angles, intensity_of_histogram, solid_angles
@@ -43,7 +44,7 @@ from lumitree.trace.histograms import (
     cell_codes,
 )
 from lumitree.trace.light_field_config import LEAST_DEPTH, LightFieldConfig
-from lumitree.trace.light_paths import LampRays, LightPaths, as_rows
+from lumitree.trace.light_paths import LampRays, LightPaths
 from lumitree.trace.segments import EndingConfig, EndingSegments, bin_segments
 
 # A bin has about ten paths, so that one with more than this multiple of its first flux would stand

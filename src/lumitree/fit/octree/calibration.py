@@ -186,7 +186,7 @@ def flux_correction(
         traced += float(dr.sum(rays.light, axis=None)[0]) / max_radiance
         shown += float(dr.sum(rays.share * radiance, axis=None)[0])
         # Light paths, whose share is 0, bring light of no known radiance.
-        above = rays.light / max_radiance - rays.share
+        above = rays.light * dr.opaque(mi.Float, 1 / max_radiance) - rays.share
         seen = dr.select(rays.share > 0, dr.maximum(above, 0), 0)
         beyond += float(dr.sum(seen, axis=None)[0])
     factor = traced / shown if traced > 0 and shown > 0 else 1.0

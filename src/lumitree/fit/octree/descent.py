@@ -94,13 +94,14 @@ class HeldOut:
     def trace(source: RaySource, max_radiance: float, config: HeldOutConfig) -> HeldOut:
         """Rays that no step of a bake draws."""
         pairs = source.draw_pairs(config.rays, SeedStream(Purpose.HELD_OUT), config.paths)
-        scale = 1 / max_radiance
+        scale = dr.opaque(mi.Float, 1 / max_radiance)
         a, b = (dr.minimum(value * scale, 1) for value in (pairs.first, pairs.second))
         return HeldOut(pairs.origin, pairs.direction, a, b, pairs.transmittance)
 
     def rescaled(self, factor: float) -> HeldOut:
         """The same for an L_max `factor` times as large; clipped values stay clipped."""
-        a, b = (dr.minimum(value * (1 / factor), 1) for value in (self.first, self.second))
+        scale = dr.opaque(mi.Float, 1 / factor)
+        a, b = (dr.minimum(value * scale, 1) for value in (self.first, self.second))
         return dataclasses.replace(self, first=a, second=b)
 
     def score(self, field: LeafField) -> Score:

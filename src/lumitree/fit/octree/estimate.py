@@ -33,6 +33,9 @@ from lumitree.octree.build import build_children, child_cells
 from lumitree.octree.traversal import Octree
 from lumitree.trace.light_paths import LightPaths
 
+# Leaves whose emission is converted at once, by the memory it takes.
+_LEAVES_AT_ONCE = 1 << 16
+
 
 def grow(rays: TracedRays, level: int, config: EstimateConfig) -> NDArray[np.int64]:
     """Cells [M, 3] of a level that may be occupied: rays terminate in their parents.
@@ -265,11 +268,10 @@ def estimate(
     cells = cells[np.array(kept)]
     statistics = statistics.take(kept)
     fit = statistics.fit_radiance(_parent_fits(statistics, cells, level, config.start_level))
-    coefficients = np.array(_coefficients_of_logits(fit, l_max, max_radiance, config))
     return Estimate(
         cells,
         np.array(statistics.density(2 / (1 << level), law)),
-        coefficients.reshape(-1, 3, num_coefficients(l_max)),
+        _coefficients_of_logits(fit, l_max, max_radiance, config),
     )
 
 
@@ -288,25 +290,20 @@ def _parent_fits(
 
 def _coefficients_of_logits(
     fit: list[list[mi.Float]], l_max: int, max_radiance: float, config: EstimateConfig
-) -> mi.Float:
-    """Coefficients [M · 3 · K] whose sigmoid follows a fit of radiance [3][K]."""
-    count = config.logit_directions
-    directions = np.array([halton_direction(i + 1) for i in range(count)])
-    values = basis_array(directions, l_max)
+) -> NDArray[np.float32]:
+    """Coefficients [M, 3, K] whose sigmoid follows a fit of radiance [3][K]."""
+    directions = [halton_direction(i + 1) for i in range(config.logit_directions)]
+    values = basis_array(np.array(directions), l_max)
     inverse = np.linalg.pinv(values)
-    harmonics, leaves = values.shape[1], dr.width(fit[0][0])
-    result = dr.zeros(mi.Float, leaves * 3 * harmonics)
-    row = dr.arange(mi.UInt32, leaves) * (3 * harmonics)
+    leaves = dr.width(fit[0][0])
+    result = np.empty((leaves, 3, values.shape[1]), np.float32)
     for channel, linear in enumerate(fit):
-        coefficients = [mi.Float(0)] * harmonics
-        for direction in range(count):
-            radiance = sum(linear[k] * float(values[direction, k]) for k in range(harmonics))
-            emission = dr.clip(radiance / max_radiance, config.min_emission, config.max_emission)
-            logit = dr.log(emission / (1 - emission))
-            coefficients = [
-                coefficients[k] + float(inverse[k, direction]) * logit for k in range(harmonics)
-            ]
-        for k in range(harmonics):
-            dr.scatter(result, coefficients[k], row + (channel * harmonics + k))
-    dr.eval(result)
+        rows = np.stack([np.broadcast_to(np.array(each), leaves) for each in linear])
+        for first in range(0, leaves, _LEAVES_AT_ONCE):
+            some = slice(first, first + _LEAVES_AT_ONCE)
+            # Not by BLAS, whose sums depend on its threads.
+            radiance = np.einsum("dk,km->dm", values, rows[:, some])
+            emission = np.clip(radiance / max_radiance, config.min_emission, config.max_emission)
+            logit = np.log(emission / (1 - emission))
+            result[some, channel] = np.einsum("kd,dm->mk", inverse, logit)
     return result

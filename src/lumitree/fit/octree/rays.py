@@ -20,6 +20,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from lumitree.core.device import channel_mean, concatenate, parameter
 from lumitree.core.frames import LocalFrame, from_viewer
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.fit.octree.config import TILE_RAYS, TILE_SIDE, MaxRadianceConfig
@@ -138,12 +139,12 @@ class RayTiles:
     """
 
     def __init__(self, half_extents: NDArray[np.float64], spacing: float) -> None:
-        self._spacing = spacing
         # The middles of tiles pass through a box that is larger by half a tile's diagonal. Drawn
         # through the proxy itself, its rim would get fewer rays than its centre.
         self._half = half_extents + TILE_SIDE / math.sqrt(2) * spacing
         # No ray's origin is farther from the centre of the box than this.
-        self.reach = 1.01 * float(np.linalg.norm(self._half)) + TILE_SIDE * spacing
+        reach = 1.01 * float(np.linalg.norm(self._half)) + TILE_SIDE * spacing
+        self.reach, self._spacing = parameter(mi.Float, reach), parameter(mi.Float, spacing)
 
     @property
     def measure(self) -> float:
@@ -182,13 +183,15 @@ class RayTiles:
         face, turn, *places = _lattice(count, seed)
         x, y, z = self._half
         areas = np.array([y * z, z * x, x * y])
-        split = np.cumsum(areas / areas.sum())
+        split = parameter(mi.Vector2f, *np.cumsum(areas / areas.sum())[:2].tolist())
         side = dr.select(face < 0.5, mi.Float(-1), 1)
         u = dr.select(face < 0.5, 2 * face, 2 * face - 1)
         axis = dr.select(u < split[0], 0, dr.select(u < split[1], 1, mi.UInt32(2)))
         place = 2 * mi.Point2f(*places[:2]) - 1
         towards = mi.warp.square_to_cosine_hemisphere(mi.Point2f(*places[2:]))
-        centre = _on_axis(axis, place.x, place.y, side) * mi.Vector3f(*self._half.tolist())
+        centre = _on_axis(axis, place.x, place.y, side) * parameter(
+            mi.Vector3f, *self._half.tolist()
+        )
         direction = _on_axis(axis, towards.x, towards.y, -side * towards.z)
         s, t = mi.coordinate_system(direction)
         sine, cosine = dr.sincos(2 * np.pi * turn)
@@ -263,7 +266,7 @@ def trace_to_termination(scene, sampler, ray):
         si = scene.ray_intersect(ray, active)
         inside = active & (medium != None)  # noqa: E711 (a vector comparison)
         _, extinction = medium_paths.coefficients(medium, active)
-        mean = dr.mean(extinction)
+        mean = channel_mean(extinction)
         flight = dr.select(inside & (mean > 0), -dr.log(1 - sampler.next_1d(active)) / mean, dr.inf)
         collides = inside & (flight < dr.select(si.is_valid(), si.t, dr.inf))
         travelled = dr.select(collides, flight, dr.select(si.is_valid(), si.t, 0))
@@ -355,9 +358,9 @@ class TracedRays:
         rays = Rays(
             _join(origin, paths.exit),
             _join(direction, from_viewer(paths.direction)),
-            dr.concat([share * dr.ones(mi.Float, num_rays), dr.zeros(mi.Float, num_paths)]),
+            concatenate([share * dr.ones(mi.Float, num_rays), dr.zeros(mi.Float, num_paths)]),
             _join(seen * share, paths.flux * scale),
-            dr.concat([through, dr.zeros(mi.Float, num_paths)]),
+            concatenate([through, dr.zeros(mi.Float, num_paths)]),
         )
         dr.eval(rays.origin, rays.direction, rays.share, rays.light, rays.transmittance)
         return rays
@@ -465,4 +468,4 @@ class TracedRays:
 
 
 def _join(first: Any, second: Any) -> Any:
-    return type(first)(*(dr.concat(values) for values in zip(first, second, strict=True)))
+    return type(first)(*(concatenate(values) for values in zip(first, second, strict=True)))
