@@ -35,6 +35,7 @@ def test_emissive_sphere_has_flux_4_pi2_r2_l(lamp, light_paths, rounding):
 def test_camera_paths_are_traced_once(lamp):
     """And not once for each of R, G and B."""
     import drjit as dr
+
     from lumitree.trace.flux import BATCH, flux_by_camera_paths
 
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
