@@ -37,7 +37,7 @@ OTHERS = {
     "words of docs by hand": 45_000,
     "lines of README.md": 90,
     "files that use the word gain": 13,
-    "lines with Any": 295,
+    "lines with Any": 195,
     "private functions used once": 352,
 }
 

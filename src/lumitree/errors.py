@@ -21,7 +21,7 @@ class LumitreeError(Exception):
     command line prints it and exits with status 2.
     """
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         # The constructors of subclasses, which have other arguments, are not called, so that the
         # errors of tasks in other processes keep type, text and attributes.
         return copyreg.__newobj__, (type(self), *self.args), self.__dict__ or None  # pyright: ignore

@@ -241,7 +241,7 @@ def _explain(error: BaseException) -> int:
     )
 
 
-def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
+def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
     print(f"lumitree: warning: {shown(message, LONGEST_LINE)}", file=sys.stderr)
 
 

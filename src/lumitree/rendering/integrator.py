@@ -32,7 +32,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -42,7 +41,7 @@ from lumitree.lamp.media import absorption, media
 from lumitree.rendering.emitter import EmitterSample, lamp_of
 from lumitree.rendering.geometry import CROSSED_STRAIGHT, GeometryEmitter
 from lumitree.rendering.lamps import EmitterSelection, LampChoices, LampKinds, Selected
-from lumitree.rendering.layers import Layers, Unrecorded
+from lumitree.rendering.layers import Layers, Record, Unrecorded
 from lumitree.rendering.null_bsdf import without_proxies
 from lumitree.rendering.proxies import MAX_CROSSINGS, NONE, Divided, DividedScene, is_instance
 from lumitree.rendering.sampling import mis_weight
@@ -65,7 +64,7 @@ class PathState:
 
     L: mi.Spectrum                      # Radiance accumulator
     valid_ray: mi.Bool                 # Whether the camera ray met something
-    record: dict[str, Any]             # Layers beside the image (`Layers`)
+    record: Record             # Layers beside the image (`Layers`)
 
     β: mi.Spectrum                      # Path throughput weight
     η: mi.Float                        # Product of relative indices of refraction

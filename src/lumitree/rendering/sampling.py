@@ -11,7 +11,6 @@ Symbols
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -80,6 +79,10 @@ def scrambled(sample: mi.Point2f) -> mi.Point3f:
     return mi.Point3f(mi.Float(u >> 8), mi.Float(v >> 8), mi.Float(w >> 8)) * 2.0**-24
 
 
+# Dr.Jit variables that a `Reservoir` keeps together.
+Candidate = tuple[object, ...]
+
+
 @dataclass
 class Reservoir:
     """Resampled importance sampling (Talbot et al. 2005) of candidates (a PyTree of Dr.Jit).
@@ -99,19 +102,19 @@ class Reservoir:
     place: mi.Float
     step: mi.Float
     choice: mi.Float
-    kept: tuple[Any, ...]
+    kept: Candidate
     weight: mi.Float
     total: mi.Float
 
     @classmethod
     def start(
-        cls, place: mi.Float, count: int | mi.UInt32, choice: mi.Float, kept: tuple[Any, ...]
+        cls, place: mi.Float, count: int | mi.UInt32, choice: mi.Float, kept: Candidate
     ) -> Reservoir:
         """Before the first candidate; `kept` is returned where no candidate sends light."""
         step = dr.rcp(mi.Float(count))
         return cls(mi.Float(place), step, mi.Float(choice), kept, mi.Float(0), mi.Float(0))
 
-    def add(self, weight: mi.Float, candidate: tuple[Any, ...]) -> None:
+    def add(self, weight: mi.Float, candidate: Candidate) -> None:
         """Add a candidate, and move `place` for the next one."""
         self.total += weight
         fraction = dr.select(self.total > 0, weight / self.total, 0)

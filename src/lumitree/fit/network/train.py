@@ -10,12 +10,10 @@ import functools
 import os
 import time
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
 
 from lumitree.core.checkpoint import Arrays, Checkpoint, read_checkpoint
 from lumitree.core.files import WriteError, exclusive, is_empty
@@ -287,8 +285,6 @@ class _Loop:
 
     def _arrays(self, state: TrainState) -> Arrays:
         leaves = jax.device_get(jax.tree.leaves(state))
-        weights: dict[str, NDArray[Any]] = {
-            f"state{index}": np.asarray(leaf) for index, leaf in enumerate(leaves)
-        }
+        weights: Arrays = {f"state{index}": np.asarray(leaf) for index, leaf in enumerate(leaves)}
         history = np.array(self.history, np.float64).reshape(-1, 4)
         return {**weights, **self.occupancy_arrays, "history": history}
