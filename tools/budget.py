@@ -36,7 +36,7 @@ OTHERS = {
     "lines of benchmarks": 10_000,
     "words of docs by hand": 45_000,
     "lines of README.md": 90,
-    "files that use the word gain": 13,
+    "files that use the word gain": 12,
     "lines with Any": 195,
     "private functions used once": 352,
 }
