@@ -77,7 +77,7 @@ def _run(arguments: list[str]) -> int:
             if found is None:
                 return 0
             name, given = found
-            _check_files(given)
+            _check_files(name, given)
             _check_json_output(given.get("json"))
             # A command that continues a killed one may need no temporary folder itself.
             remove_abandoned_scratch()
@@ -139,12 +139,13 @@ def program(command: str | None = None) -> App:
     return parser
 
 
-def _check_files(given: Given) -> None:
+def _check_files(command: str, given: Given) -> None:
     """Refuse a file that a command would write twice, or write over one that it reads."""
     written: set[str] = set()
-    texts = list(_texts(given))
-    read = {_place(text) for name, text in texts if name not in OUTPUTS}
-    for text in (text for name, text in texts if name in OUTPUTS):
+    options, texts = COMMANDS[command].all_options(), list(_texts(given))
+    outputs = {name for name in OUTPUTS if name in options and not options[name].positional}
+    read = {_place(text) for name, text in texts if name not in outputs}
+    for text in (text for name, text in texts if name in outputs):
         place = _place(text)
         if place in written:
             raise LumitreeError(f"{shown(text, 300)} is given for two outputs; name two")

@@ -494,29 +494,34 @@ def _design(given: Given) -> "DesignResult":
     given["placements"] = _places(given)
     given["planes"] = _grouped("design", "plane", given)
     if "watts" in given:
-        given["watts"] = dict(_named("watts", text, vector(1)) for text in given["watts"])
+        given["watts"] = _named("watts", given["watts"], vector(1))
     if "move" in given:
-        axes = (_named("move", text, TEXT) for text in given["move"])
-        given["move"] = {name: text.replace(",", "") for name, text in axes}
+        axes = _named("move", given["move"], TEXT)
+        given["move"] = {name: text.replace(",", "") for name, text in axes.items()}
     result = call("design", given)
     for path in outputs:
         result.save(path)
     return result
 
 
-def _named(option: str, text: str, kind: object) -> tuple[str, Any]:
-    """Name and value of NAME=VALUE."""
-    name, equals, value = text.rpartition("=")
-    if not equals or not name:
-        raise LumitreeError(f"--{option}: {text!r} is not NAME=VALUE, such as lamp=0.5")
-    return name, convert(option, Option(kind, ""), value)
+def _named(option: str, texts: Iterable[str], kind: object) -> dict[str, Any]:
+    """Values by name, of texts NAME=VALUE."""
+    found = {}
+    for text in texts:
+        name, equals, value = text.rpartition("=")
+        if not equals or not name:
+            raise LumitreeError(f"--{option}: {text!r} is not NAME=VALUE, such as lamp=0.5")
+        if name in found:
+            raise LumitreeError(f"--{option} is given twice for {shown(repr(name), 100)}")
+        found[name] = convert(option, Option(kind, ""), value)
+    return found
 
 
 def _mix(given: Given) -> Given:
     given = dict(given)
     output = given.pop("output")
     check_outputs(output, page=True)
-    gains = dict(_named("gain", text, vector(1, 3)) for text in given.pop("gain", ()))
+    gains = _named("gain", given.pop("gain", ()), vector(1, 3))
     result = call("mix", given | {"gain": gains})
     result.save(output)
     return image_report(result, output)

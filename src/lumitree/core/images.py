@@ -1,9 +1,10 @@
 """OpenEXR and PNG files, the settings that they state, and the sRGB transfer function."""
 
+import contextlib
 import io
 import json
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -55,7 +56,9 @@ def read_exr(path: str | os.PathLike[str]) -> dict[str, NDArray[np.float32]]:
         raise LumitreeError(f"{path} does not exist; expected an OpenEXR image")
     _read_header(path)
     try:
-        with OpenEXR.File(str(path)) as file:
+        with _silent(), OpenEXR.File(str(path)) as file:
+            if not file.parts:
+                raise ValueError("its pixels are damaged, or cut off; write it again")
             planes = {
                 name: np.asarray(channel.pixels, np.float32)
                 for name, channel in file.channels().items()
@@ -166,7 +169,7 @@ def check_exr_name(path: str | os.PathLike[str]) -> None:
 def _read_header(path: str | os.PathLike[str]) -> Json:
     """Header of an OpenEXR file; refuses sizes for which memory would be reserved in vain."""
     try:
-        with OpenEXR.File(str(path), header_only=True) as file:
+        with _silent(), OpenEXR.File(str(path), header_only=True) as file:
             # A copy: the file empties its header when it is closed.
             header = dict(file.header())
             lower, upper = (np.asarray(corner, np.int64) for corner in header["dataWindow"])
@@ -186,6 +189,19 @@ def _read_header(path: str | os.PathLike[str]) -> Json:
             f"{_MAX_VALUES} values"
         )
     return header
+
+
+@contextlib.contextmanager
+def _silent() -> Iterator[None]:
+    """OpenEXR prints, by Python and by C, what is wrong with a file."""
+    with open(os.devnull, "w", encoding="utf-8") as nowhere, contextlib.redirect_stdout(nowhere):
+        kept = os.dup(2)
+        os.dup2(nowhere.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
 
 
 def _one_line(error: Exception) -> str:
