@@ -248,7 +248,10 @@ class PathScene:
         self.extent = scene_extent(scene)
         self.bsdf_ctx = mi.BSDFContext()
         # These select the code of a kernel: no scene pays for features that it does not have.
-        self.has_null_surfaces = _has_null_surfaces(divided.surfaces)
+        self.has_null_surfaces = any(
+            is_instance(shape) or mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Null)
+            for shape in divided.surfaces.shapes()
+        )
         self.has_media = bool(media)
         self.has_scattering = any(absorption(medium) is None for medium in media)
         self.shows_geometry = any(
@@ -261,14 +264,6 @@ class PathScene:
     def emitter(self, index: mi.UInt32, active: mi.Bool) -> mi.EmitterPtr:
         """The emitter of an index in the scene."""
         return dr.gather(mi.EmitterPtr, self.whole.emitters_dr(), index, active)
-
-
-def _has_null_surfaces(scene: mi.Scene) -> bool:
-    """Whether light may pass some shape of the scene without being bent."""
-    for shape in scene.shapes():
-        if is_instance(shape) or mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Null):
-            return True
-    return False
 
 
 def lamps_alone(params) -> bool:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.device import parameter
+from lumitree.lamp.emitting_surfaces import four_numbers
 
 _PARALLEL = 1e-12
 # Part of the samples that is taken uniformly.
@@ -72,11 +73,8 @@ def divide_sample(sample: mi.Float, fraction: mi.Float | float) -> tuple[mi.Bool
 
 
 def scrambled(sample: mi.Point2f) -> mi.Point3f:
-    """Three numbers in [0, 1) from all bits of a sample in the unit square."""
-    x, y = (dr.reinterpret_array(mi.UInt32, each) for each in (sample.x, sample.y))
-    u, v = mi.sample_tea_32(x, y)
-    w, _ = mi.sample_tea_32(v, u)
-    return mi.Point3f(mi.Float(u >> 8), mi.Float(v >> 8), mi.Float(w >> 8)) * 2.0**-24
+    """The first three of `four_numbers`."""
+    return mi.Point3f(*four_numbers(sample)[:3])
 
 
 # Dr.Jit variables that a `Reservoir` keeps together.
