@@ -188,7 +188,7 @@ def photometry(
         elif (asset := asset_of(source)) is not None:
             measured = asset_source(asset)
         else:
-            measured = luminaire_source(load_luminaire(cast(Any, source)))
+            measured = luminaire_source(load_luminaire(source))
         of_file = file is not None or (asset is not None and asset.is_photometric)
         if of_file:
             refuse_frame(source, metres, up)
