@@ -22,17 +22,17 @@ LINES = {
     "exports": 3_600,
     "fit": 5_850,
     "formats": 4_100,
-    "lamp": 10_450,
+    "lamp": 10_385,
     "many": 620,
-    "measure": 6_600,
+    "measure": 6_640,
     "octree": 1_050,
     "rendering": 9_960,
     "trace": 1_900,
-    "viewer": 1_940,
+    "viewer": 1_965,
 }
 FILES = 222
 OTHERS = {
-    "lines of tests": 43_300,
+    "lines of tests": 43_330,
     "lines of benchmarks": 10_000,
     "words of docs by hand": 45_000,
     "lines of README.md": 90,
