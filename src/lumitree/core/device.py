@@ -107,6 +107,10 @@ def concatenate(arrays: Iterable[T]) -> T:
 
 def as_rows(vectors: Any) -> NDArray[np.float64]:
     """Dr.Jit vectors of three components as an array [N, 3]."""
+    import drjit as dr
+
+    # By one kernel: otherwise each component would trace all paths again.
+    dr.eval(vectors)
     # Each by itself: the number of vectors would be a part of a kernel's code.
     components = (np.array(each, np.float64) for each in vectors)
     return np.array(np.broadcast_arrays(*components)).T

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from lumitree.asset.light_field import is_part, make_light_field, pack, pack_part, unpack
+from lumitree.core.device import as_rows
 from lumitree.core.octahedral import coarse_solid_angles, solid_angles
 from lumitree.core.photometry import luminance
 from lumitree.fit.light_field.bake import bake_light_field
 from lumitree.trace.light_field_config import LightFieldConfig
-from lumitree.trace.light_paths import LampRays, as_rows
+from lumitree.trace.light_paths import LampRays
 from lumitree.trace.segments import EndingConfig
 from support.lamps import AREA, cube, lamp_of, sphere
 
