@@ -369,19 +369,27 @@ def _show_bake(result: Any, given: Given) -> None:
         print_open(result.index if "task" not in given else result.folder)
     else:
         print_report(result.to_json())
-        print(_shown_part(result.asset.info, result.asset.num_leaves))
+        print(_shown_part(result.asset))
         print_open(result.path)
 
 
-def _shown_part(info: Any, leaves: int) -> str:
+def _shown_part(asset: Any) -> str:
     """Part of an asset that images show, and the part that it lacks for more."""
+    info = asset.info
     if info.appearance == "field":
         return "Images show the radiance field."
     if info.appearance == "geometry":
-        more = "" if leaves else " Other integrators than lumitree_path need a radiance field: "
-        return f"Images show the geometry of the lamp.{more}{more and '--parts all adds it.'}"
+        line, more = (
+            "Images show the geometry of the lamp.",
+            "a radiance field: --parts all adds it.",
+        )
+        return (
+            line if asset.num_leaves else f"{line} Other integrators than lumitree_path need {more}"
+        )
+    if asset.light_field.outline is not None:
+        return "Images show the luminous opening, evenly bright."
     line = "Images show the light field, blurred."
-    # A photometric file has no light paths, and no geometry to add.
+    # Files have no light paths, and no geometry to add.
     more = " --parts light,geometry adds what sharp ones need."
     return line if info.light_field_paths is None else line + more
 

@@ -96,7 +96,7 @@ _NOTES = (
 _FAR_NOTE = (
     "Far field: distance from the centre of the luminous opening from which on the illuminance is "
     "within 5 % of intensity / distance², in a cone of 5 degrees. At shorter distances a "
-    "photometric file is wrong by more; use the asset instead. Too few rays: measure more (--paths)."
+    "photometric file is wrong by more; use the asset instead. Too few rays: trace more (--paths)."
 )
 _COLOUR_NOTE = (
     "Colour rendering is computed from the spectrum of the bare emitters. Glass, shades and "
