@@ -221,17 +221,17 @@ def denoised(scenes: Scenes, options: argparse.Namespace) -> Image.Image:
 
 
 def photometric_reports(scenes: Scenes, options: argparse.Namespace) -> Image.Image:
-    """Reports of two lamps, as a browser shows them, as far as their tables of the far field."""
-    sheet = Image.new("RGB", (1352, 981), "white")
+    """Reports of two lamps, as a browser shows them, without the tables of the far field."""
+    sheet = Image.new("RGB", (1440, 842), "white")
     for column, lamp in enumerate(("dallas", options.data / "scopia_chandelier/luminaire.xml")):
         report, shot = (options.work / f"report-{column}.{kind}" for kind in ("html", "png"))
         if not report.exists():
             unit = "cm" if column else "m"
-            lumitree.photometry(lamp, [report], unit=unit)
-        flags = ["--headless", "--no-sandbox", "--hide-scrollbars", "--window-size=1000,1451"]
+            lumitree.photometry(lamp, [report], unit=unit, seed=1)
+        flags = ["--headless", "--no-sandbox", "--hide-scrollbars", "--window-size=1000,1170"]
         page = report.resolve().as_uri()
         subprocess.run(["chromium", *flags, f"--screenshot={shot}", page], check=True)
-        sheet.paste(Image.open(shot).convert("RGB").resize((676, 981)), (676 * column, 0))
+        sheet.paste(Image.open(shot).convert("RGB").resize((720, 842)), (720 * column, 0))
     return sheet
 
 

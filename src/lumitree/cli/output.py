@@ -14,7 +14,7 @@ _OF_FIELD = ("tree_depth", "leaves", "nodes", "l_max", "law", "max_radiance")
 # Names and units of figures.
 _LABELS = {
     "dgp": "DGP",
-    "ev": "exposure, EV",
+    "ev": "exposure",
     "file_bytes": "file size",
     "lumens": "luminous flux",
     "ugr": "UGR",
@@ -105,7 +105,7 @@ def print_metrics(report: dict[str, Any]) -> None:
     views = "irradiance"
     if report["views"]:
         views = f"{len(report['views'])} views, {report['spp']:,} paths per pixel"
-    rows = [(metric, f"{value:.4f}") for metric, value in report["metrics"].items()]
+    rows = [(metric, _rounded(value, "")) for metric, value in report["metrics"].items()]
     _print_table(f"{shown(report['asset']['luminaire'])}: {views}", ("metric", "mean"), rows)
     _print_irradiance(report["irradiance"])
     for name in ("sheet", "irradiance_sheet"):
@@ -198,6 +198,8 @@ def _shown_value(name: str, value: Any) -> str:
         return _megabytes(value)
     if name == "noise" or name.endswith("_noise"):
         return f"{100 * value:.2g} %"
+    if name == "ev":
+        return f"EV {value:.1f}"
     text = _rounded(value, " x " if name in ("resolution", "size") else ", ")
     return f"{text} {_UNITS[name]}" if name in _UNITS else text
 
