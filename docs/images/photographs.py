@@ -258,7 +258,37 @@ def ies_light(scenes: Scenes, options: argparse.Namespace) -> Image.Image:
     return Image.open(picture)
 
 
-PICTURES = {"photographs": 85, "denoised": 80, "photometric-reports": 85, "ies-light": 88}
+def lux_plan(scenes: Scenes, options: argparse.Namespace) -> Image.Image:
+    """The commands of the page on lux plans."""
+    office = ROOT / "examples/office.xml"
+    lamp = lumitree.Placement(scenes.lamp("dallas"), at=(0, 2.3, -0.3), size=0.4, lumens=3000)
+    planes = [
+        lumitree.Plane((0, 0.75, 0), (0, 1, 0), extent=(4, 3), spacing=0.25, name="work plane"),
+        lumitree.Plane((0, 0.745, -1.05), (0, 1, 0), extent=(1.6, 0.8), spacing=0.1, name="desk"),
+    ]
+    files = [options.work / f"{name}.png" for name in ("view", "luminance", "plan")]
+    image = lumitree.render(office, [lamp], spp=options.spp, denoise=True)
+    image.save(files[0])
+    image.save_luminance(files[1])
+    lumitree.illuminance(office, [lamp], planes=planes).save(files[2])
+    view, luminance, plan = (Image.open(file).convert("RGB") for file in files)
+    sheet = Image.new("RGB", (1500, 1059), "white")
+    plan = plan.resize((plan.width * 1059 // plan.height, 1059), Image.Resampling.LANCZOS)
+    width = 1490 - plan.width
+    for top, each in ((0, view), (width * 3 // 4 + 10, luminance)):
+        each.thumbnail((width, 1059 - top), Image.Resampling.LANCZOS)
+        sheet.paste(each, (0, top))
+    sheet.paste(plan, (width + 10, 0))
+    return sheet
+
+
+PICTURES = {
+    "photographs": 85,
+    "denoised": 80,
+    "photometric-reports": 85,
+    "ies-light": 88,
+    "lux-plan": 85,
+}
 
 
 def main(options: argparse.Namespace) -> None:
