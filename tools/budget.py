@@ -17,8 +17,8 @@ SOURCE = ROOT / "src/lumitree"
 LINES = {
     "": 425,
     "asset": 2_800,
-    "cli": 1_875,
-    "core": 4_830,
+    "cli": 1_900,
+    "core": 4_840,
     "exports": 3_600,
     "fit": 5_850,
     "formats": 4_100,
@@ -36,8 +36,8 @@ OTHERS = {
     "lines of benchmarks": 10_000,
     "words of docs by hand": 45_000,
     "lines of README.md": 90,
-    "files that use the word gain": 13,
-    "lines with Any": 295,
+    "files that use the word gain": 12,
+    "lines with Any": 195,
     "private functions used once": 352,
 }
 

@@ -98,6 +98,16 @@ def test_damaged_exr_files_are_refused_or_read(layers):
     assert outcomes == {True, False}
 
 
+def test_nothing_is_printed_of_a_file_that_is_cut_off(tmp_path, capfd):
+    noise = np.random.default_rng(0).random((40, 60, 3), np.float32)
+    write_exr(tmp_path / "a.exr", {"RGB": noise})
+    data = (tmp_path / "a.exr").read_bytes()
+    (tmp_path / "a.exr").write_bytes(data[: len(data) // 2])
+    with pytest.raises(LumitreeError, match="its pixels are damaged, or cut off"):
+        read_exr(tmp_path / "a.exr")
+    assert capfd.readouterr() == ("", "")
+
+
 def test_exr_round_trip(tmp_path):
     random = np.random.default_rng(0)
     planes = {

@@ -369,7 +369,7 @@ def test_wrong_names_of_layers_are_refused_before_any_work(tmp_path, capsys, opt
 def test_mixtures_beyond_single_precision_are_refused(mi, gain):
     bright = np.full((2, 2, 3), 2e38, np.float32)
     layers = {"lamp": bright, "room": bright}
-    with pytest.raises(LumitreeError, match=r"radiance above 1e\+30"):
+    with pytest.raises(LumitreeError, match=r"not finite, or above 1e\+30"):
         lumitree.mix(layers, {"lamp": gain})
 
 

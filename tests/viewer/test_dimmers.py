@@ -137,6 +137,18 @@ def test_the_page_has_what_the_photograph_needs(mi, tmp_path, monkeypatch):
     assert [each["column"] for each in found["lamps"]] == [0, -1, 2]
 
 
+def test_negative_radiance_counts_as_0_in_images_and_pages(mi, tmp_path):
+    """As filters with negative lobes give it."""
+    layers = {"desk": np.full((4, 5, 3), 2, np.float32), "room": np.ones((4, 5, 3), np.float32)}
+    layers["room"][0, 0, 1] = -3
+    with pytest.warns(lumitree.LumitreeWarning, match="0.0083 of the numbers in the image are neg"):
+        mixed = lumitree.mix(layers, {"room": 2})
+    assert mixed.pixels[0, 0].tolist() == [4, 2, 4]
+    mixed.save(tmp_path / "page.html")
+    _, found = decoded(content((tmp_path / "page.html").read_text()))
+    assert found["room"][0, 0, 1] < 1e-3 * found["room"][0, 0, 0]
+
+
 def test_black_layers_are_left_out_and_too_large_images_refused(mi, tmp_path, capsys):
     layers, _ = wall(12, 20)
     page = tmp_path / "wall.html"

@@ -46,7 +46,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         if argv is None:
             open_streams()
-            _print_all_characters()
+            if isinstance(sys.stdout, io.TextIOWrapper):
+                # "?" for characters that the encoding lacks, such as ± in the C locale.
+                sys.stdout.reconfigure(errors="replace")
         return _run(list(sys.argv[1:] if argv is None else argv))
     except BrokenPipeError:
         # The program that reads the output, such as `head`, has closed it.
@@ -57,12 +59,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     finally:
         if argv is None:
             ignore_signals()
-
-
-def _print_all_characters() -> None:
-    """Print "?" for characters that the encoding of the output lacks, such as ± in the C locale."""
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="replace")
 
 
 def _run(arguments: list[str]) -> int:
@@ -77,7 +73,7 @@ def _run(arguments: list[str]) -> int:
             if found is None:
                 return 0
             name, given = found
-            _check_files(given)
+            _check_files(name, given)
             _check_json_output(given.get("json"))
             # A command that continues a killed one may need no temporary folder itself.
             remove_abandoned_scratch()
@@ -139,12 +135,13 @@ def program(command: str | None = None) -> App:
     return parser
 
 
-def _check_files(given: Given) -> None:
+def _check_files(command: str, given: Given) -> None:
     """Refuse a file that a command would write twice, or write over one that it reads."""
     written: set[str] = set()
-    texts = list(_texts(given))
-    read = {_place(text) for name, text in texts if name not in OUTPUTS}
-    for text in (text for name, text in texts if name in OUTPUTS):
+    options, texts = COMMANDS[command].all_options(), list(_texts(given))
+    outputs = {name for name in OUTPUTS if name in options and not options[name].positional}
+    read = {_place(text) for name, text in texts if name not in outputs}
+    for text in (text for name, text in texts if name in outputs):
         place = _place(text)
         if place in written:
             raise LumitreeError(f"{shown(text, 300)} is given for two outputs; name two")
@@ -241,7 +238,7 @@ def _explain(error: BaseException) -> int:
     )
 
 
-def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
+def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
     print(f"lumitree: warning: {shown(message, LONGEST_LINE)}", file=sys.stderr)
 
 

@@ -322,8 +322,8 @@ def vector(*counts: int) -> Any:
         except ValueError:
             values = ()
         if len(values) not in counts or not all(map(math.isfinite, values)):
-            expected = " or ".join(map(str, counts))
-            raise LumitreeError(f"{text!r} is not {expected} numbers separated by commas")
+            expected = f"{' or '.join(map(str, counts))} finite numbers"
+            raise LumitreeError(f"{text!r} is not {expected} separated by commas")
         return values[0] if len(values) == 1 else values
 
     settings = Parameter(

@@ -1,11 +1,11 @@
 """OpenEXR and PNG files, the settings that they state, and the sRGB transfer function."""
 
+import contextlib
 import io
 import json
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import OpenEXR
@@ -16,7 +16,7 @@ from PIL.PngImagePlugin import PngInfo
 from lumitree._version import __version__
 from lumitree.core.file_kinds import EXR, what_it_is
 from lumitree.core.files import atomic_path
-from lumitree.core.results import plain
+from lumitree.core.results import Json, plain
 from lumitree.errors import LumitreeError, shown
 
 # Largest side of an image that is read, pixels.
@@ -56,7 +56,9 @@ def read_exr(path: str | os.PathLike[str]) -> dict[str, NDArray[np.float32]]:
         raise LumitreeError(f"{path} does not exist; expected an OpenEXR image")
     _read_header(path)
     try:
-        with OpenEXR.File(str(path)) as file:
+        with _silent(), OpenEXR.File(str(path)) as file:
+            if not file.parts:
+                raise ValueError("its pixels are damaged, or cut off; write it again")
             planes = {
                 name: np.asarray(channel.pixels, np.float32)
                 for name, channel in file.channels().items()
@@ -164,10 +166,10 @@ def check_exr_name(path: str | os.PathLike[str]) -> None:
         )
 
 
-def _read_header(path: str | os.PathLike[str]) -> dict[str, Any]:
+def _read_header(path: str | os.PathLike[str]) -> Json:
     """Header of an OpenEXR file; refuses sizes for which memory would be reserved in vain."""
     try:
-        with OpenEXR.File(str(path), header_only=True) as file:
+        with _silent(), OpenEXR.File(str(path), header_only=True) as file:
             # A copy: the file empties its header when it is closed.
             header = dict(file.header())
             lower, upper = (np.asarray(corner, np.int64) for corner in header["dataWindow"])
@@ -187,6 +189,19 @@ def _read_header(path: str | os.PathLike[str]) -> dict[str, Any]:
             f"{_MAX_VALUES} values"
         )
     return header
+
+
+@contextlib.contextmanager
+def _silent() -> Iterator[None]:
+    """OpenEXR prints, by Python and by C, what is wrong with a file."""
+    with open(os.devnull, "w", encoding="utf-8") as nowhere, contextlib.redirect_stdout(nowhere):
+        kept = os.dup(2)
+        os.dup2(nowhere.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
 
 
 def _one_line(error: Exception) -> str:

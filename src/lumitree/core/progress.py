@@ -79,7 +79,11 @@ class _Display:
             if self._bar is not None and progress.within is None:
                 self._bar.stop()
                 self._bar, self._rows = None, []
-            self._remove_rows(len(_with_outer(progress)) - 1)
+            outer = len(_with_outer(progress)) - 1
+            if self._bar is not None:
+                for row in self._rows[outer:]:
+                    self._bar.remove_task(row)
+            del self._rows[outer:]
             self._logged = 0.0
         elif progress.seconds >= _QUIET_SECONDS:
             if sys.stderr.isatty() or _in_notebook():
@@ -111,11 +115,6 @@ class _Display:
             self._bar.update(
                 self._rows[level], description=each.task, completed=each.done, note=each.note
             )
-
-    def _remove_rows(self, first: int) -> None:
-        for row in self._rows[first:]:
-            self._bar.remove_task(row)
-        del self._rows[first:]
 
     def _log(self, progress: Progress) -> None:
         percent = 100 * progress.done / progress.total

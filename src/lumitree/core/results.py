@@ -54,7 +54,7 @@ class ImageResult(Result):
         return self.png
 
 
-def plain(value: Any) -> Any:
+def plain(value: object) -> Any:
     """Convert a value for `json.dumps`: paths to text, arrays and tuples to lists, and so on.
 
     Numbers that JSON does not have, NaN and infinities, become None.
@@ -101,7 +101,7 @@ class Stopwatch:
             elapsed = time.perf_counter() - start
             self.seconds[name] = round(self.seconds.get(name, 0.0) + elapsed, 3)
 
-    def costs(self) -> dict[str, Any]:
+    def costs(self) -> Json:
         """Values of the fields of `Result`."""
         return {"seconds": self.seconds, "peak_memory_bytes": peak_memory_bytes()}
 

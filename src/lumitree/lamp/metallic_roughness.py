@@ -136,13 +136,6 @@ def _tabulated(values: Callable[[float, Floats], tuple[Floats, Floats]]) -> Floa
     return np.stack([np.stack(values(alpha, cosines), axis=1) for alpha in alphas])
 
 
-@functools.cache
-def _unit_disk() -> tuple[Floats, Floats]:
-    """Radius and azimuth of points that fill the unit disk evenly, on a Fibonacci spiral."""
-    index = np.arange(_SAMPLES, dtype=np.float64)
-    return np.sqrt((index + 0.5) / _SAMPLES), 2 * np.pi * (index * 0.6180339887498949 % 1)
-
-
 def _visible_normals(alpha: float, cosine: Floats) -> tuple[Floats, Floats]:
     """Cosines of normals with the surface's normal, and with the direction that sees them.
 
@@ -153,7 +146,12 @@ def _visible_normals(alpha: float, cosine: Floats) -> tuple[Floats, Floats]:
     """
     sine = np.sqrt(1 - cosine**2)
     x, z = np.array([alpha * sine, cosine]) / np.hypot(alpha * sine, cosine)
-    radius, azimuth = _unit_disk()
+    # Points that fill the unit disk evenly, on a Fibonacci spiral.
+    index = np.arange(_SAMPLES, dtype=np.float64)
+    radius, azimuth = (
+        np.sqrt((index + 0.5) / _SAMPLES),
+        2 * np.pi * (index * 0.6180339887498949 % 1),
+    )
     first, second = radius * np.cos(azimuth), radius * np.sin(azimuth)
     mixed = 0.5 * (1 + z)
     second = (1 - mixed) * np.sqrt(1 - first**2) + mixed * second

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
+from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
@@ -299,7 +300,7 @@ def plan_pdf(plans: Sequence[Plan], direct_only: bool) -> bytes:
     return pdf_file(pages)
 
 
-def _draw_plan(figure: Figure, axes: Any, plan: Plan, direct_only: bool) -> None:
+def _draw_plan(figure: Figure, axes: Axes, plan: Plan, direct_only: bool) -> None:
     place, area, plane = plan.receivers.flat(), plan.area, plan.receivers.plane
     kind = "direct illuminance" if direct_only else "illuminance"
     figures = f"mean {area.mean:.4g} lx, U0 {area.uniformity:.2f}"
@@ -494,7 +495,7 @@ def _polar(axes: Any, data: PhotometricData) -> None:
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=2, fontsize=8, frameon=False)
 
 
-def _cone(axes: Any, step: float, intensity: NDArray[np.float64]) -> None:
+def _cone(axes: Axes, step: float, intensity: NDArray[np.float64]) -> None:
     """Cone around the axis with the more light, in which the intensity is at least half of its."""
     down, up = intensity[:, 0].mean(), intensity[:, -1].mean()
     is_up = up > down
@@ -524,7 +525,7 @@ def _cone(axes: Any, step: float, intensity: NDArray[np.float64]) -> None:
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), fontsize=8, frameon=False)
 
 
-def _isocandela(figure: Figure, axes: Any, data: PhotometricData) -> None:
+def _isocandela(figure: Figure, axes: Axes, data: PhotometricData) -> None:
     """Lines of equal intensity over C and γ."""
     distribution = data.distribution
     c = np.append(distribution.c, 360)

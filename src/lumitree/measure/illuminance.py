@@ -16,7 +16,7 @@ from lumitree.core.arguments import check_items, check_range, metres_of
 from lumitree.core.backend import in_turn, load_rgb
 from lumitree.core.files import FilePath, check_writable, write_bytes, write_json
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
-from lumitree.core.results import Result, Stopwatch, plain
+from lumitree.core.results import Json, Result, Stopwatch, plain
 from lumitree.core.seeds import check_seed
 from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown, shown_names
 from lumitree.measure.receivers import (
@@ -103,7 +103,7 @@ class IlluminanceResult(Result):
             write = plan_png if kind == ".png" else plan_pdf
             write_bytes(path, write(self.plans(), self.direct_only))
 
-    def table(self) -> list[dict[str, Any]]:
+    def table(self) -> list[Json]:
         """A dictionary for each receiver, as the files have it."""
         names = [area.name for area in self.areas for _ in range(area.count)]
         light = (self.direct, self.direct_error, self.total, self.total_error)

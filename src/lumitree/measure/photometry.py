@@ -174,7 +174,7 @@ def photometry(
             file = read_again(_path(source)) if is_file else None
             measured = asset_source(asset, file)
         else:
-            file, measured = None, luminaire_source(load_luminaire(cast(Any, source)))
+            file, measured = None, luminaire_source(load_luminaire(source))
         if wanted:
             _warn_far(measured)
         measured = oriented(measured, metres, up)

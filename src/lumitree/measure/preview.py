@@ -188,7 +188,7 @@ def preview(
 
     with reporting(progress):
         with watch.stage("load"):
-            lamp = load_luminaire(cast(Any, luminaire))
+            lamp = load_luminaire(luminaire)
         with watch.stage("diagnose"):
             faults = warn_of_faults(lamp)
         with watch.stage("flux"):

@@ -226,15 +226,17 @@ def trace_light(
     return paths
 
 
-def emitted_flux(luminaire: Luminaire, sampler: mi.Sampler, count: int) -> tuple[Any, Any]:
+def emitted_flux(
+    luminaire: Luminaire, sampler: mi.Sampler, count: int
+) -> tuple[mi.Color3f, mi.UInt32]:
     """Flux with which `count` light paths start, before the luminaire absorbs any.
 
     Args:
         sampler: seeded for as many paths. Seeded as for `trace_light`, the paths start alike.
 
     Returns:
-        mi.Color3f, flux of each path, local units, whose sum is an estimate of the flux of the bare
-        emitters; and mi.UInt32, the path's emitter as its index in the scene.
+        Flux of each path, local units, whose sum is an estimate of the flux of the bare
+        emitters; and the path's emitter as its index in the scene.
     """
     extent = scene_extent(luminaire.scene)
     _, flux, emitter = emit(luminaire.emitting_surfaces, sampler, extent)

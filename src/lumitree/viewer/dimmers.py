@@ -96,7 +96,7 @@ def dimmer_page(
     Raises:
         LumitreeError: there are too many layers or pixels.
     """
-    lit = {name: np.maximum(light, 0) for name, light in layers.items() if light.any()}
+    lit = {name: light for name, light in layers.items() if light.any()}
     lit = dict(sorted(lit.items(), key=lambda item: item[0] == "room"))
     height, width = next(iter(layers.values())).shape[:2]
     texels = height * width * (len(lit) + 1)

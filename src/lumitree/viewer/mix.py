@@ -1,6 +1,7 @@
 """Images mixed from the layers of an image: other brightness and colour of each lamp."""
 
 import dataclasses
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from lumitree.core.images import (
     read_exr,
 )
 from lumitree.core.results import Stopwatch
-from lumitree.errors import LumitreeError, explained, shown
+from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown
 from lumitree.rendering.image import SavedImage
 from lumitree.rendering.photograph import Highlights, PhotoSettings
 from lumitree.rendering.render import RenderResult
@@ -33,7 +34,7 @@ class ImageLayers:
     """The layers of an image.
 
     Attributes:
-        light: by name, [H, W, 3], radiance, W/(m² sr).
+        light: by name, [H, W, 3], radiance, W/(m² sr), without negative values.
         highlights: by name, light of emitters that the camera sees, a part of `light`; of layers
             that have any.
         what: what they are, for messages.
@@ -64,7 +65,15 @@ class ImageLayers:
                 f"{found.what} is not made of layers only; expected channels NAME.R, NAME.G and "
                 "NAME.B of each, as `lumitree render --layers` writes them"
             )
-        return found
+        if part := float(np.mean([light < 0 for light in found.light.values()])):
+            warnings.warn(
+                f"{part:.2g} of the numbers in {found.what} are negative, and count as 0; "
+                "reconstruction filters with negative lobes, or other programs, give such radiance",
+                LumitreeWarning,
+                stacklevel=4,
+            )
+        light = {name: np.maximum(light, 0) for name, light in found.light.items()}
+        return dataclasses.replace(found, light=light)
 
     def mixed(
         self, gain: Mapping[str, tuple[float, float, float]]
@@ -158,7 +167,7 @@ def mix(
     Args:
         layers: the path of a file that `RenderResult.save_layers` has written; a `RenderResult`
             with layers; or arrays [height, width, 3] of linear radiance by name, whose emitters
-            are not clamped before pixels are averaged.
+            are not clamped before pixels are averaged. Negative radiance counts as 0.
         gain: by name of the layer, factors [3] on R, G and B of its light, or one number for all;
             0 to 10⁶. Default: 1.
         exposure: of `png`, as for `render`. Automatic is by the layers without gains, so that a
@@ -188,8 +197,9 @@ def mix(
         pixels, highlights = given.mixed(factors)
         if not (np.abs(pixels) <= _MAX_RADIANCE).all():
             raise LumitreeError(
-                f"the layers of {given.what} have radiance above {_MAX_RADIANCE:g} W/(m² sr) with "
-                "these gains; render them again, or use smaller gains"
+                f"the layers of {given.what} have radiance that is not finite, or above "
+                f"{_MAX_RADIANCE:g} W/(m² sr) with these gains; render them again, or use smaller "
+                "gains"
             )
     rendered = np.stack(list(given.light.values())).sum(axis=0, dtype=np.float64)
     photograph = settings.photograph(pixels, metered=rendered, highlights=highlights)

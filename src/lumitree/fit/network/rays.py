@@ -14,8 +14,8 @@ have 64 million rays, of which about half cross the box: 0.7 to 1.4 GB.
 
 import dataclasses
 import math
-from collections.abc import Iterable, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Iterable
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lumitree.core.frames import orthographic_rays
+from lumitree.core.reading import Arrays
 from lumitree.errors import LumitreeError
 from lumitree.lamp.dataset import Dataset, OpacityKind, visual_hull
 
@@ -36,7 +37,7 @@ class Occupancy(NamedTuple):
     cells: jax.Array | NDArray[np.bool_]
     half_extents: jax.Array | NDArray[np.float32]
 
-    def arrays(self) -> dict[str, NDArray[Any]]:
+    def arrays(self) -> Arrays:
         """The grid as arrays for a checkpoint, its cells as packed bits."""
         cells = np.asarray(self.cells)
         return {
@@ -46,7 +47,7 @@ class Occupancy(NamedTuple):
         }
 
     @staticmethod
-    def of_arrays(arrays: Mapping[str, NDArray[Any]]) -> "Occupancy":
+    def of_arrays(arrays: Arrays) -> "Occupancy":
         """The grid of `arrays`."""
         shape = arrays["grid"].tolist()
         cells = np.unpackbits(arrays["occupied"], count=math.prod(shape)).astype(bool)

@@ -158,7 +158,8 @@ def _run(
         best = refiner.field
     else:
         budget = Budget(config, float(saved["seconds"]), int(saved["rays"]))
-        field, max_radiance = _empty_field(config, source), float(saved["max_radiance"])
+        none, max_radiance = np.zeros((0, 3), np.int64), float(saved["max_radiance"])
+        field = _field(config, source, none, none[:, 0], none[:, 0], np.zeros(0))
         refiner = Refiner(field, source, max_radiance, config.refine, config.split)
         refiner.restore(saved)
         # The best field that was saved: an uninterrupted bake would not have kept the current one.
@@ -267,11 +268,6 @@ def _hull_field(source: StoredRays, config: OctreeConfig) -> LeafField:
     coefficients[:, :, 0] = math.log(views.hull_emission / (1 - views.hull_emission)) / Y_00
     density = np.full(len(cells), views.hull_optical_depth * (1 << level) / 2)
     return _field(config, source, cells, np.full(len(cells), level), density, coefficients)
-
-
-def _empty_field(config: OctreeConfig, source: RaySource) -> LeafField:
-    none = np.zeros((0, 3), np.int64)
-    return _field(config, source, none, none[:, 0], none[:, 0], np.zeros(0))
 
 
 def _field(
