@@ -143,7 +143,8 @@ def export(
     watch = Stopwatch()
     with watch.stage("load"):
         given = open_asset(asset)
-        refuse_frame(asset, given, metres, up)
+        if given.is_photometric:
+            refuse_frame(asset, metres, up)
         near = given.near_origin
         loaded = near if metres == 1 else near.scaled(metres)
     request = ExportRequest(

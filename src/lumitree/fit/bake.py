@@ -281,7 +281,7 @@ def refine(
             `rays` is given.
         rays: budget of rays, 1 to 2⁵⁰. If `time` is given too, the call ends at whichever is
             reached first. Default: no limit.
-        irradiance_paths: see `bake`. Default: 2¹⁹.
+        irradiance_paths: see `bake`. Default: 2¹⁸.
         seed: root seed of all random numbers, 0 to 2³¹ - 1.
         work: folder for the state; see `bake`.
         variant: Mitsuba variant; see `bake`.

@@ -251,7 +251,7 @@ def extract(
         samples_per_leaf: positions per leaf, 1 to 1,048,576. Default: 64, or 256 for "paper".
         luminaire: the captured luminaire, in any form that `bake` takes. If it is given, the asset
             gets the light field too, and the irradiance around both is compared.
-        irradiance_paths: see `bake`. Default: 2¹⁹.
+        irradiance_paths: see `bake`. Default: 2¹⁸.
         seed: root seed of the light field, 0 to 2³¹ - 1.
         variant: Mitsuba variant; see `bake`.
         progress: function that is called with a `Progress` after each step; see `bake`.

@@ -61,7 +61,10 @@ class RayBatch:
 
     def arrays(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Origin, direction and flux, each [N, 3]."""
-        return as_rows(self.origin), as_rows(self.direction), as_rows(self.flux)
+        vectors = self.origin, self.direction, self.flux
+        dr.eval(vectors)
+        origin, direction, flux = map(as_rows, vectors)
+        return origin, direction, flux
 
 
 class EmittedRays(Protocol):
@@ -86,6 +89,8 @@ def seeded_sampler(seed: int, count: int) -> mi.Sampler:
 
 def as_rows(vectors: Any) -> NDArray[np.float64]:
     """Dr.Jit vectors of three components as an array [N, 3]."""
+    # By one kernel: otherwise each component would trace all paths again.
+    dr.eval(vectors)
     # Each by itself: the number of vectors would be a part of a kernel's code.
     components = (np.array(each, np.float64) for each in vectors)
     return np.array(np.broadcast_arrays(*components)).T
