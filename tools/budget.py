@@ -15,7 +15,7 @@ SOURCE = ROOT / "src/lumitree"
 
 # Lines of Python by package of `src/lumitree`; "" are the modules beside the packages.
 LINES = {
-    "": 425,
+    "": 420,
     "asset": 2_800,
     "cli": 1_900,
     "core": 4_848,
@@ -30,7 +30,7 @@ LINES = {
     "trace": 1_900,
     "viewer": 1_965,
 }
-FILES = 222
+FILES = 220
 OTHERS = {
     "lines of tests": 43_330,
     "lines of benchmarks": 10_000,
@@ -38,7 +38,7 @@ OTHERS = {
     "lines of README.md": 90,
     "files that use the word gain": 12,
     "lines with Any": 195,
-    "private functions used once": 352,
+    "private functions used once": 326,
 }
 
 

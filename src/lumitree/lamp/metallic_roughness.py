@@ -533,19 +533,15 @@ def _bsdf_class() -> type:
             self.has_back = self.thin or self.transmits
             self.lookup = reflection_lookup(mi.variant())
             self.glass = glass_lookup(mi.variant(), ior) if clear and not self.thin else None
-            self._set_flags()
-
-        def _set_flags(self) -> None:
             flags = mi.BSDFFlags
-            kinds = [flags.DiffuseReflection, flags.GlossyReflection]
+            self.kinds = [flags.DiffuseReflection, flags.GlossyReflection]
             if self.transmits:
-                kinds += [flags.DiffuseTransmission, flags.GlossyTransmission]
-            self.kinds = kinds
+                self.kinds += [flags.DiffuseTransmission, flags.GlossyTransmission]
             sides = flags.FrontSide | (flags.BackSide if self.has_back else 0)
             # Refraction scales radiance.
             scaled = [0, 0] + [0 if self.glass is None else flags.NonSymmetric] * 2
             self.m_components = [
-                kind | sides | scale for kind, scale in zip(kinds, scaled, strict=False)
+                kind | sides | scale for kind, scale in zip(self.kinds, scaled, strict=False)
             ]
             self.m_flags = functools.reduce(operator.or_, self.m_components)
 

@@ -366,14 +366,17 @@ class DividedScene:
         assert self._surfaces is not None
         indices = list(lamps)
         owners = Owners(lamps, [(indices[i], indices[j]) for i, j in self._overlaps])
-        # Under OptiX a kernel may trace one scene only.
-        one_scene = dr.backend_v(mi.Float) == dr.JitBackend.CUDA
-        outside_lamps, passes = None, bool(self._overlaps) or one_scene
+        outside_lamps, passes = None, bool(self._overlaps) or _one_scene_only()
         if owners.exist and any(lamp.lights_inside for lamp in lamps.values()):
             if not passes and self._outside_lamps is None:
                 self._outside_lamps = _scene_of(groups, self._others)
             outside_lamps = self._surfaces if passes else self._outside_lamps
         return Divided(self._surfaces, Proxies(emitters), outside_lamps, passes, owners)
+
+
+def _one_scene_only() -> bool:
+    """Whether a kernel may trace one scene only, as under OptiX."""
+    return dr.backend_v(mi.Float) == dr.JitBackend.CUDA
 
 
 def _light_insides(lamps: list[PlacedLamp], others: list[mi.Shape]) -> list[tuple[int, int]]:

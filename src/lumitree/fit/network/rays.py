@@ -227,7 +227,10 @@ def load_rays(dataset: Dataset, kind: OpacityKind, skip_empty: bool) -> tuple[Ra
         origins, direction = orthographic_rays(
             view.frame.pose, manifest.half_width, manifest.resolution
         )
-        geometry.append(_view_geometry(origins, direction))
+        steps = max(origins.shape[0] - 1, 1)
+        column_step = (origins[0, -1] - origins[0, 0]) / steps
+        row_step = (origins[-1, 0] - origins[0, 0]) / steps
+        geometry.append((origins[0, 0], column_step, row_step, direction))
         # Row by row, because the bins of a whole view take gigabytes.
         crossing = _crossing_rows(occupancy, jnp.asarray(origins), jnp.asarray(direction))
         kept.append(np.flatnonzero(np.asarray(crossing)))
@@ -252,16 +255,6 @@ def load_rays(dataset: Dataset, kind: OpacityKind, skip_empty: bool) -> tuple[Ra
         max_radiance=highest,
     )
     return rays, occupancy
-
-
-def _view_geometry(
-    origins: NDArray[np.float32], direction: NDArray[np.float32]
-) -> tuple[NDArray[np.float32], ...]:
-    """Corner, step to the next column, step to the next row and direction of one view."""
-    steps = max(origins.shape[0] - 1, 1)
-    column_step = (origins[0, -1] - origins[0, 0]) / steps
-    row_step = (origins[-1, 0] - origins[0, 0]) / steps
-    return origins[0, 0], column_step, row_step, direction
 
 
 @jax.jit

@@ -127,7 +127,9 @@ def refine(
     config = dataclasses.replace(
         config, tree_depth=asset.tree_depth, l_max=asset.l_max, law=asset.law
     )
-    seed = _continued_seed(asset, seed)
+    # Not the seed of the rays that the asset was made with.
+    checksum = zlib.crc32(asset.coefficients.tobytes(), zlib.crc32(asset.density.tobytes()))
+    seed = SeedStream(Purpose.CONTINUATION, checksum).seed(seed) & MAX_SEED
     source = _traced_rays(luminaire, config, seed)
 
     def start() -> tuple[LeafField, float]:
@@ -224,12 +226,6 @@ def make_asset(field: LeafField, subject: Subject, max_radiance: float) -> Asset
 def _traced_rays(luminaire: Luminaire, config: OctreeConfig, seed: int) -> TracedRays:
     level = min(config.tree_depth, config.ray_spacing_level)
     return TracedRays(luminaire, spacing=2 / (1 << level), seed=seed)
-
-
-def _continued_seed(asset: Asset, seed: int) -> int:
-    """Root seed for refining an asset: not the one of the rays that it was made with."""
-    checksum = zlib.crc32(asset.coefficients.tobytes(), zlib.crc32(asset.density.tobytes()))
-    return SeedStream(Purpose.CONTINUATION, checksum).seed(seed) & MAX_SEED
 
 
 def _visible_radiance(source: TracedRays, config: OctreeConfig) -> float:
