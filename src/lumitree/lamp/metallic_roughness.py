@@ -49,6 +49,7 @@ from __future__ import annotations
 import functools
 import operator
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import drjit as dr
 import mitsuba as mi
@@ -133,7 +134,9 @@ def _tabulated(values: Callable[[float, Floats], tuple[Floats, Floats]]) -> Floa
     """[SIZE, SIZE, 2] values for an alpha and cosines [SIZE, 1]."""
     cosines = np.maximum(np.linspace(0, 1, SIZE) ** 2, _MIN_COSINE)[:, None]
     alphas = np.maximum(np.linspace(0, 1, SIZE) ** 2, MIN_ALPHA).tolist()
-    return np.stack([np.stack(values(alpha, cosines), axis=1) for alpha in alphas])
+    with ThreadPoolExecutor(dr.thread_count()) as pool:
+        rows = pool.map(lambda alpha: np.stack(values(alpha, cosines), axis=1), alphas)
+        return np.stack(list(rows))
 
 
 def _visible_normals(alpha: float, cosine: Floats) -> tuple[Floats, Floats]:
