@@ -17,14 +17,14 @@ SOURCE = ROOT / "src/lumitree"
 LINES = {
     "": 420,
     "asset": 2_800,
-    "cli": 1_880,
-    "core": 4_836,
+    "cli": 1_900,
+    "core": 4_848,
     "exports": 3_600,
     "fit": 5_850,
     "formats": 4_100,
     "lamp": 10_379,
     "many": 620,
-    "measure": 6_640,
+    "measure": 6_655,
     "octree": 1_050,
     "rendering": 9_960,
     "trace": 1_900,
@@ -32,7 +32,7 @@ LINES = {
 }
 FILES = 220
 OTHERS = {
-    "lines of tests": 43_330,
+    "lines of tests": 43_290,
     "lines of benchmarks": 10_000,
     "words of docs by hand": 45_000,
     "lines of README.md": 90,

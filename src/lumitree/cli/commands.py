@@ -49,7 +49,7 @@ from lumitree.cli.signatures import (
 from lumitree.errors import LumitreeError, shown
 
 if TYPE_CHECKING:
-    from lumitree.asset.asset import AssetInfo
+    from lumitree.asset.asset import Asset
     from lumitree.lamp.source import LuminaireSource
     from lumitree.measure.design import DesignResult
     from lumitree.measure.evaluate import EvaluateResult
@@ -379,19 +379,23 @@ def _show_bake(result: Any, given: Given) -> None:
         print_open(result.index if "task" not in given else result.folder)
     else:
         print_report(result.to_json())
-        print(_shown_part(result.asset.info, result.asset.num_leaves))
+        print(_shown_part(result.asset))
         print_open(result.path)
 
 
-def _shown_part(info: "AssetInfo", leaves: int) -> str:
+def _shown_part(asset: "Asset") -> str:
     """Part of an asset that images show, and the part that it lacks for more."""
+    info = asset.info
     if info.appearance == "field":
         return "Images show the radiance field."
     if info.appearance == "geometry":
-        more = "" if leaves else " Other integrators than lumitree_path need a radiance field: "
-        return f"Images show the geometry of the lamp.{more}{more and '--parts all adds it.'}"
+        line = "Images show the geometry of the lamp."
+        more = " Other integrators than lumitree_path need a radiance field: --parts all adds it."
+        return line if asset.num_leaves else line + more
+    if asset.light_field is not None and asset.light_field.outline is not None:
+        return "Images show the luminous opening, evenly bright."
     line = "Images show the light field, blurred."
-    # A photometric file has no light paths, and no geometry to add.
+    # Files have no light paths, and no geometry to add.
     more = " --parts light,geometry adds what sharp ones need."
     return line if info.light_field_paths is None else line + more
 

@@ -23,12 +23,34 @@ LONGEST_LINE = 1000
 _MOST_LAMPS, _MOST_SHAPES = 100, 20
 # Figures of a radiance field.
 _OF_FIELD = ("tree_depth", "leaves", "nodes", "l_max", "law", "max_radiance")
+# Names and units of figures.
+_LABELS = {
+    "dgp": "DGP",
+    "ev": "exposure",
+    "file_bytes": "file size",
+    "lumens": "luminous flux",
+    "ugr": "UGR",
+    "ugr_of_lamps": "UGR of lamps",
+    "watts": "radiant flux",
+}
+_UNITS = {
+    "background": "cd/m²",
+    "lumens": "lm",
+    "max_radiance": "W/(m² sr)",
+    "mean_radiance": "W/(m² sr)",
+    "size": "in the unit of the lamp's file",
+    "source_luminance": "cd/m²",
+    "source_solid_angle": "sr",
+    "vertical_illuminance": "lx",
+    "watts": "W of R, G, B",
+}
 
 
 def print_lines(values: Json) -> None:
-    """Print one line per value: name, value."""
+    """Print one line per value: name, value; values are below each other."""
+    width = max([20, *map(len, values)])
     for name, value in values.items():
-        print(f"{name:>20}  {shown(value, LONGEST_LINE)}")
+        print(f"{name:>{width}}  {shown(value, LONGEST_LINE)}")
 
 
 def print_result(result: Result, opens: str | os.PathLike[str] | None = None) -> None:
@@ -78,23 +100,15 @@ def print_photograph(report: Json) -> None:
 def print_report(report: Json) -> None:
     """Print a dictionary of figures; nested dictionaries are flattened by one level."""
     flat: Json = {}
-    for name, value in report.items():
+    for name, value in _used(report):
         if name == "seconds":
             flat |= {f"{stage} (s)": round(seconds, 1) for stage, seconds in value.items()}
-        elif name.endswith("_bytes"):
-            flat[name.removesuffix("_bytes").replace("_", " ")] = _megabytes(value)
         elif name == "irradiance":
             flat |= _irradiance_lines(value)
         elif isinstance(value, dict):
-            # An asset without a field says nothing of one.
-            unused = _OF_FIELD if value.get("leaves") == 0 else ()
-            flat |= {
-                key: _shown_value(key, item)
-                for key, item in value.items()
-                if item is not None and key not in unused
-            }
-        elif value is not None:
-            flat[name.replace("_", " ")] = _shown_value(name, value)
+            flat |= {_label(key): _shown_value(key, item) for key, item in _used(value)}
+        else:
+            flat[_label(name)] = _shown_value(name, value)
     print_lines(flat)
 
 
@@ -103,7 +117,7 @@ def print_metrics(report: Json) -> None:
     views = "irradiance"
     if report["views"]:
         views = f"{len(report['views'])} views, {report['spp']:,} paths per pixel"
-    rows = [(metric, f"{value:.4f}") for metric, value in report["metrics"].items()]
+    rows = [(metric, _rounded(value, "")) for metric, value in report["metrics"].items()]
     _print_table(f"{shown(report['asset']['luminaire'])}: {views}", ("metric", "mean"), rows)
     _print_irradiance(report["irradiance"])
     for name in ("sheet", "irradiance_sheet"):
@@ -180,21 +194,37 @@ def _megabytes(value: int) -> str:
     return f"{value / 1e6:.1f} MB" if value >= 50_000 else f"{value / 1e3:.1f} kB"
 
 
-def _shown_value(name: str, value: Any) -> object:
-    """A figure by its name: bytes in megabytes, noise in per cent."""
+def _used(report: Json) -> Iterable[tuple[str, Any]]:
+    """Figures that are known; an asset without a field says nothing of one."""
+    unused = _OF_FIELD if report.get("leaves") == 0 else ()
+    return [(k, v) for k, v in report.items() if v is not None and k not in unused]
+
+
+def _label(name: str) -> str:
+    return _LABELS.get(name, name.removesuffix("_bytes").replace("_", " "))
+
+
+def _shown_value(name: str, value: Any) -> str:
+    """A figure by its name, with its unit: bytes in megabytes, noise in per cent."""
     if name.endswith("_bytes"):
         return _megabytes(value)
     if name == "noise" or name.endswith("_noise"):
         return f"{100 * value:.2g} %"
-    return _rounded(value)
+    if name == "ev":
+        return f"EV {value:.1f}"
+    text = _rounded(value, " x " if name in ("resolution", "size") else ", ")
+    return f"{text} {_UNITS[name]}" if name in _UNITS else text
 
 
-def _rounded(value: object) -> object:
-    if isinstance(value, float):
-        return float(f"{value:.5g}")
+def _rounded(value: object, between: str) -> str:
+    """Numbers with four digits, whole ones with all."""
+    from lumitree.core.results import digits_text
+
     if isinstance(value, list):
-        return ", ".join(str(_rounded(item)) for item in value)
-    return value
+        return between.join(_rounded(item, between) for item in value)
+    if isinstance(value, float):
+        return digits_text(value)
+    return f"{value:,}" if isinstance(value, int) and value >= 10_000 else str(value)
 
 
 def print_list(result: Json) -> None:
@@ -225,7 +255,7 @@ def print_preview(result: PreviewResult | AssetPreviewResult) -> None:
         "emitters": result.emitters,
         **({} if highest is None else {"L_max": f"{highest:.4g} W/(m² sr)"}),
         "exposure": f"EV {result.ev:.1f}",
-        "size": " x ".join(f"{side:.4g}" for side in result.size),
+        "size": _shown_value("size", list(result.size)),
         "media": "yes" if result.has_media else "no",
         "flux": f"{result.flux} (if lengths are in metres)",
         "flux R, G, B": f"{watts} ± {errors} W",
@@ -253,9 +283,11 @@ def print_exported(result: ExportResult) -> None:
 
 def print_illuminance(result: IlluminanceResult, outputs: Sequence[str]) -> None:
     """Print the illuminance of each area."""
+    from lumitree.measure.photometric_figures import Estimate
+
     rows = []
     for area in result.areas:
-        mean = f"{area.mean:.4g} ± {area.mean_error:.2g}"
+        mean = str(Estimate(area.mean, area.mean_error))
         count = f"{area.count - area.enclosed:,}"
         ratios = (f"{area.uniformity:.3f}", f"{area.diversity:.3f}")
         extremes = (f"{area.smallest:.4g}", f"{area.largest:.4g}")
@@ -325,6 +357,8 @@ def print_photometry(result: PhotometryResult) -> None:
     if result.near_field:
         title = "far field, intensity / distance², within 5 %"
         _print_table(title, NEAR_FIELD_HEADER, near_field_rows(result.near_field))
+        if not all(limit.is_known for limit in result.near_field):
+            print(f"note: for directions with too few rays trace more: --paths {4 * result.rays}")
     for path in result.files:
         print(f"written: {shown(path, LONGEST_LINE)}")
     # A report, if there is one.

@@ -7,6 +7,7 @@ import collections
 import contextlib
 import contextvars
 import dataclasses
+import math
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -66,6 +67,7 @@ class _Display:
         self._bar: Any = None
         # Bars by level, from the outermost task's.
         self._rows: list[Any] = []
+        # Time of the task's latest line; infinite after the line of 100 %.
         self._logged = 0.0
 
     def __repr__(self) -> str:
@@ -86,8 +88,10 @@ class _Display:
         elif progress.seconds >= _QUIET_SECONDS:
             if sys.stderr.isatty() or _in_notebook():
                 self._show_bar(progress)
-            elif progress.seconds - self._logged >= _LOG_SECONDS or progress.done >= progress.total:
-                self._logged = progress.seconds
+                return
+            is_done = progress.done >= progress.total
+            if progress.seconds - self._logged >= (0.0 if is_done else _LOG_SECONDS):
+                self._logged = math.inf if is_done else progress.seconds
                 self._log(progress)
 
     def _show_bar(self, progress: Progress) -> None:

@@ -112,3 +112,9 @@ def peak_memory_bytes() -> int:
         return 0
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak if sys.platform == "darwin" else peak * 1024
+
+
+def digits_text(value: float) -> str:
+    """A number with four significant digits, and all digits before the point."""
+    digits = 0 if value == 0 or not math.isfinite(value) else 3 - math.floor(math.log10(abs(value)))
+    return f"{round(value, max(digits, 0)):,.12g}"

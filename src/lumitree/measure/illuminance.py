@@ -63,6 +63,7 @@ class IlluminanceResult(Result):
         samples: [N] samples of each receiver.
         by_lamp: the parts of each lamp, whose sums are `direct` and `total`; None without the
             option `by_lamp`.
+        unit: of lengths of the scene, as it was given.
     """
 
     areas: list[AreaFigures]
@@ -77,6 +78,7 @@ class IlluminanceResult(Result):
     by_lamp: LampIlluminance | None = dataclasses.field(repr=False)
     receivers: list[Receivers] = dataclasses.field(repr=False)
     floors: "list[FloorPlan | None]" = dataclasses.field(repr=False)
+    unit: float | str
 
     @explained
     def save(self, path: FilePath) -> None:
@@ -140,6 +142,7 @@ class IlluminanceResult(Result):
                 receivers,
                 *(each[area.part] for each in arrays),
                 floor=floor,
+                unit=self.unit if isinstance(self.unit, str) else f"{self.unit:g} m",
                 by_lamp={} if self.by_lamp is None else self.by_lamp.lit(area),
             )
             for area, receivers, floor in zip(self.areas, self.receivers, self.floors, strict=True)
@@ -271,6 +274,7 @@ def illuminance(
                 stacklevel=2,
             )
     return IlluminanceResult(
+        unit=unit,
         areas=figures,
         direct_only=direct,
         position=position,
