@@ -38,6 +38,13 @@ def test_one_module_uses_the_buffers_of_meshes():
     assert found == [ROOT / "src/lumitree/core/mitsuba_meshes.py"]
 
 
+def test_numbers_of_lanes_are_not_in_the_code_of_kernels():
+    """`core.device` has `channel_mean` and `concatenate` in place of what compiles a kernel each."""
+    names = r"dr\.(mean|concat)\((?!`)"
+    files = [*(ROOT / "src").rglob("*.py")]
+    assert [each for each in files if re.search(names, each.read_text(encoding="utf-8"))] == []
+
+
 def test_the_house_keeps_its_budget():
     """More needs a reason in the message of the commit that raises a number in budget.py."""
     lines = budget.lines_by_package()

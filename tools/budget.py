@@ -18,7 +18,7 @@ LINES = {
     "": 420,
     "asset": 2_800,
     "cli": 1_900,
-    "core": 4_848,
+    "core": 4_900,
     "exports": 3_600,
     "fit": 5_850,
     "formats": 4_100,
@@ -32,7 +32,7 @@ LINES = {
 }
 FILES = 220
 OTHERS = {
-    "lines of tests": 43_290,
+    "lines of tests": 43_400,
     "lines of benchmarks": 10_000,
     "words of docs by hand": 45_000,
     "lines of README.md": 90,
