@@ -24,7 +24,7 @@ LINES = {
     "formats": 4_100,
     "lamp": 10_450,
     "many": 620,
-    "measure": 6_600,
+    "measure": 6_790,
     "octree": 1_050,
     "rendering": 9_960,
     "trace": 1_900,

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lumitree.core.arguments import check_count
 from lumitree.core.backend import in_turn
+from lumitree.core.device import parameter
 from lumitree.core.photometry import LUMA, LUMENS_PER_WATT
 from lumitree.core.seeds import Purpose, SeedStream, check_seed
 from lumitree.errors import LumitreeError
@@ -78,7 +79,7 @@ def direct_lux(
         raise LumitreeError("a lamp has no light field; bake it again")
     si = receivers(points, normals, samples)
     x, normal = lamp.local_line(si.p, mi.Vector3f(si.n))
-    random = mi.PCG32(dr.width(si.p), seed)
+    random = mi.PCG32(dr.width(si.p), parameter(mi.UInt64, seed))
     outside = ~lamp.in_box(dr.detach(x))
     found = lamp.factor * lamp.light.irradiance(x, normal, random, outside)
     lux = sum((weight * each for weight, each in zip(LUMA, found, strict=True)), mi.Float(0))
