@@ -52,6 +52,8 @@ COMMANDS = {
 # Run once before, for `extract`.
 TRAINING = ("capture lamp/luminaire.xml -o views --views 24 --resolution 96", "train views -o run")
 _VASES = 4
+# As an installation has the modules: compiled.
+_COMPILED = {"PYTHONDONTWRITEBYTECODE": ""}
 
 
 def write_inputs(folder: Path) -> None:
@@ -96,7 +98,7 @@ def seconds(arguments: str, folder: Path, tree: Path, **environment: str) -> dic
     process = subprocess.Popen(
         [sys.executable, "-m", "lumitree", *arguments.split()],
         cwd=folder,
-        env=os.environ | {"PYTHONPATH": str(tree / "src")} | environment,
+        env=os.environ | _COMPILED | {"PYTHONPATH": str(tree / "src")} | environment,
         stdout=subprocess.DEVNULL,
         stderr=(folder / "errors.txt").open("w"),
     )
@@ -152,7 +154,6 @@ def run(options: argparse.Namespace) -> None:
                 taken = seconds(COMMANDS[name], folder, trees[tree].resolve())
                 figures = f"{taken['cpu']:.1f} s of the processor, {taken['wall']:.1f} s"
                 print(f"round {index}: {name}, {tree}: {figures}", file=sys.stderr, flush=True)
-                # Round 0 compiles kernels.
                 found[name].setdefault(tree, []).extend([taken] if index else [])
     if options.first:
         for name in names:

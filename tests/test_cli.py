@@ -331,7 +331,7 @@ def test_list_info_and_json(capsys):
         assert "bulbs" in json.load(file)["luminaires"]
     assert main(["info", "lamp.lumitree", "--json", "info.json"]) == 0
     out = capsys.readouterr().out
-    assert "tree_depth  4" in out
+    assert "tree depth  4" in out
     with open("info.json") as file:
         assert json.load(file)["asset"]["law"] == "linear"
 

@@ -233,4 +233,4 @@ def test_a_bake_does_not_advise_what_a_file_cannot_have(folder, capsys):
     """Also where a list names the file."""
     (folder / "lamps.txt").write_text("a.ies\n")
     assert main(["bake", "@lamps.txt", "-o", "a.lumitree"]) == 0
-    assert "Images show the light field, blurred.\n" in capsys.readouterr().out
+    assert "Images show the luminous opening, evenly bright.\n" in capsys.readouterr().out

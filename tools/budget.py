@@ -15,30 +15,30 @@ SOURCE = ROOT / "src/lumitree"
 
 # Lines of Python by package of `src/lumitree`; "" are the modules beside the packages.
 LINES = {
-    "": 425,
+    "": 420,
     "asset": 2_800,
-    "cli": 1_840,
-    "core": 4_830,
+    "cli": 1_900,
+    "core": 4_848,
     "exports": 3_600,
     "fit": 5_850,
     "formats": 4_100,
-    "lamp": 10_450,
+    "lamp": 10_379,
     "many": 620,
-    "measure": 6_790,
+    "measure": 6_855,
     "octree": 1_050,
     "rendering": 9_960,
     "trace": 1_900,
-    "viewer": 1_940,
+    "viewer": 1_965,
 }
-FILES = 222
+FILES = 220
 OTHERS = {
-    "lines of tests": 43_300,
+    "lines of tests": 43_360,
     "lines of benchmarks": 10_000,
     "words of docs by hand": 45_000,
     "lines of README.md": 90,
-    "files that use the word gain": 13,
-    "lines with Any": 295,
-    "private functions used once": 352,
+    "files that use the word gain": 12,
+    "lines with Any": 195,
+    "private functions used once": 326,
 }
 
 

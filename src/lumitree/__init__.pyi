@@ -25,6 +25,12 @@ from .exports.export import export as export
 from .fit.bake import bake as bake
 from .fit.bake import refine as refine
 from .fit.bake_network import (
+    CaptureResult as CaptureResult,
+)
+from .fit.bake_network import (
+    TrainResult as TrainResult,
+)
+from .fit.bake_network import (
     capture as capture,
 )
 from .fit.bake_network import (
@@ -35,16 +41,10 @@ from .fit.bake_network import (
 )
 from .fit.config import BakeConfig as BakeConfig
 from .fit.config import NetworkConfig as NetworkConfig
-from .fit.octree.config import OctreeConfig as OctreeConfig
-from .fit.result import (
+from .fit.finishing import (
     BakeResult as BakeResult,
 )
-from .fit.result import (
-    CaptureResult as CaptureResult,
-)
-from .fit.result import (
-    TrainResult as TrainResult,
-)
+from .fit.octree.config import OctreeConfig as OctreeConfig
 from .lamp.luminaire import Luminaire as Luminaire
 from .lamp.luminaire import builtin_luminaires as builtin_luminaires
 from .lamp.luminaire import load_luminaire as load_luminaire

@@ -116,7 +116,10 @@ def _render_room(
     images: list[Panel] = []
     for name, image in found.items():
         assert image.noisy is not None
-        images.append(Panel(_caption(name, image), image.noisy, image.highlights))
+        noise = "" if image.noise is None else f", noise {image.noise:.0%}"
+        took = f"{name} lamp, {image.seconds['render']:.0f} s"
+        title = f"{took}\n{image.spp} samples per pixel{noise}"
+        images.append(Panel(title, image.noisy, image.highlights))
         image.save(folder / f"room-{name}.exr")
     if filters:
         images += [
@@ -131,8 +134,3 @@ def _render_room(
         columns=2,
     )
     return found
-
-
-def _caption(name: str, image: RenderResult) -> str:
-    noise = "" if image.noise is None else f", noise {image.noise:.0%}"
-    return f"{name} lamp, {image.seconds['render']:.0f} s\n{image.spp} samples per pixel{noise}"

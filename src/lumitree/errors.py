@@ -7,6 +7,8 @@ import re
 from collections.abc import Callable, Iterable
 from typing import Any, TypeVar, cast
 
+# Texts of errors of Dr.Jit and its backends.
+_OUT_OF_MEMORY = ("out of memory", "bad_alloc", "could not allocate")
 F = TypeVar("F", bound=Callable[..., Any])
 
 _SHOWN_NAMES, _SHOWN_CHARACTERS = 12, 40
@@ -21,7 +23,7 @@ class LumitreeError(Exception):
     command line prints it and exits with status 2.
     """
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         # The constructors of subclasses, which have other arguments, are not called, so that the
         # errors of tasks in other processes keep type, text and attributes.
         return copyreg.__newobj__, (type(self), *self.args), self.__dict__ or None  # pyright: ignore
@@ -86,7 +88,8 @@ def explained(function: F) -> F:
             hint = did_you_mean(name, known)
             raise TypeError(f"{function.__name__}() has no argument {name!r}{hint}")
         for name, value in (*zip(known, args, strict=False), *kwargs.items()):
-            if "" in [each for each in _items(value) if isinstance(each, str)]:
+            texts = value if isinstance(value, list | tuple) else [value]
+            if any(isinstance(each, str) and each == "" for each in texts):
                 raise LumitreeError(f"{name} is ''; expected a name or another value")
         try:
             return function(*args, **kwargs)
@@ -102,7 +105,7 @@ def explained(function: F) -> F:
         except OverflowError as error:
             reason = f"a number is too large: {shown(error, 200)}"
         except RuntimeError as error:
-            if _is_out_of_memory(error):
+            if any(each in str(error).lower() for each in _OUT_OF_MEMORY):
                 reason = f"not enough memory: {shown(error, 200)}; choose smaller sizes"
             elif (found := renderer_reason(error)) is not None:
                 raise LumitreeError(f"Mitsuba stopped: {shown(found, 400)}") from error
@@ -111,10 +114,6 @@ def explained(function: F) -> F:
         raise LumitreeError(reason)
 
     return cast(F, run)
-
-
-def _items(value: object) -> Iterable[object]:
-    return value if isinstance(value, list | tuple) else [value]
 
 
 def renderer_reason(error: BaseException) -> str | None:
@@ -138,8 +137,3 @@ def renderer_reason(error: BaseException) -> str | None:
     line = re.sub(r"\[\w+\.(cpp|h):\d+\] ", "", _MITSUBA.sub("", line))
     # An object is printed as "Class[ member = ... ]".
     return re.sub(r"\[ .* \]", "", line)
-
-
-def _is_out_of_memory(error: RuntimeError) -> bool:
-    text = str(error).lower()
-    return "out of memory" in text or "bad_alloc" in text or "could not allocate" in text

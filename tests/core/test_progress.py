@@ -81,4 +81,5 @@ def test_lines_name_the_outer_task(monkeypatch, capsys):
     monkeypatch.setattr(module.time, "monotonic", lambda: next(clock))
     with module.progress("3 lamps", 3, 1), module.progress("bake", 4) as advance:
         advance(4)
+        advance(0, "told once")
     assert capsys.readouterr().err == "3 lamps, 1 done; bake: 100 %, 0 s left\n"

@@ -64,7 +64,7 @@ def test_figures_and_sheet_of_an_asset(tmp_path, monkeypatch, mi, capsys):
     command = ["preview", "lamp.lumitree", "-o", "sheet.png", "--resolution", "32"]
     assert main([*command, "--sheet"]) == 0
     assert (tmp_path / "sheet.png").read_bytes() == result.png
-    assert "lumens" in capsys.readouterr().out
+    assert "luminous flux" in capsys.readouterr().out
     assert main(command) == 0
     photograph = Image.open(tmp_path / "sheet.png")
     assert photograph.size == (32, 32)

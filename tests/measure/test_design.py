@@ -283,7 +283,7 @@ def test_moved_lamps_light_as_lamps_of_another_scene_do(mi, even):
         dataclasses.replace(first[1], lumens=500, at=(-0.5, 2, 0.5)),
     ]
     areas = collect(planes, (), (), None, None, 0)
-    lit = LitScene(mi.load_dict(ROOM), "room", first, areas, 1.0, by_lamp=True)
+    lit = LitScene(mi.load_dict(ROOM), "room", first, areas, "m", by_lamp=True)
     lit.move(there)
     found = lit.estimate(0.01, None, 5)
     expected = lumitree.illuminance(ROOM, there, planes=planes, by_lamp=True, error=0.01, seed=5)

@@ -11,7 +11,13 @@ from lumitree.core.device import on_device
 from lumitree.core.frames import LocalFrame, rotation, similarity
 from lumitree.core.photometry import luminance
 from lumitree.errors import LumitreeError
-from lumitree.formats.type_c import Grid, angles_of, node_solid_angles
+from lumitree.formats.light_field import bake_distribution
+from lumitree.formats.type_c import (
+    Grid,
+    IntensityDistribution,
+    angles_of,
+    node_solid_angles,
+)
 from lumitree.measure import far_field as module
 from lumitree.measure.batches import BATCHES, jackknife
 from lumitree.measure.far_field import (
@@ -19,6 +25,7 @@ from lumitree.measure.far_field import (
     STEPS,
     asset_source,
     chosen_step,
+    file_source,
     luminaire_source,
     measure,
 )
@@ -219,6 +226,25 @@ def test_an_asset_without_an_light_field(mi):
     assert data.figures.lumens.value == pytest.approx(24 * np.pi * luminance(RADIANCE), rel=0.02)
 
 
+def test_a_file_is_measured_as_its_asset(mi):
+    """Intensities, box and opening, and the rays that are drawn of it."""
+    gamma = np.linspace(0, 180, 19)
+    intensity = np.tile(100 * np.cos(np.deg2rad(gamma)).clip(0), (4, 1))
+    file = IntensityDistribution("file", np.linspace(0, 270, 4), gamma, intensity)
+    colour = (1.2, 0.95, 0.9)
+    of_file = file_source(file, colour)
+    of_asset = asset_source(bake_distribution(file, colour), file)
+    found, expected = (measure(each, 1 << 14, seed=1) for each in (of_file, of_asset))
+    np.testing.assert_allclose(found.intensity, expected.intensity)
+    np.testing.assert_allclose(found.watts, expected.watts, rtol=5e-3)
+    np.testing.assert_allclose(found.size, expected.size)
+    assert found.opening == expected.opening
+    tests = found.near_field, expected.near_field
+    assert tests[0] is not None
+    assert tests[1] is not None
+    np.testing.assert_array_equal(tests[0].differences()[0], tests[1].differences()[0])
+
+
 def test_the_largest_intensity_is_not_one_of_noise(ball):
     """A node with a large intensity in one batch."""
     measurement = measure(luminaire_source(ball), 1 << 14, step=30)
@@ -337,7 +363,8 @@ def test_planes_and_widths():
         (0.123456, 0.00123, "0.1235 ± 0.0012"),
         (98765.0, 1234.0, "98,800 ± 1,200"),
         (12.0, 0.0, "12"),
-        (6502.7755, 1e-11, "6,502.8"),
+        (6502.7755, 1e-11, "6,503"),
+        (14428.3, 0.2, "14,428"),
         (5.0, float("nan"), "5"),
     ],
 )

@@ -79,7 +79,7 @@ def test_plans_have_coordinates_of_the_scene_and_a_legend(scene, lamp):
     assert axes.get_title() == (
         f"low: direct illuminance, mean {area.mean:.4g} lx, U0 {area.uniformity:.2f}"
     )
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("x", "z")
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("x, m", "z, m")
     assert axes.yaxis.get_major_formatter()(-22, 0) == "22"
     assert axes.xaxis.get_major_formatter()(11, 0) == "11"
     legend = axes.get_legend()

@@ -46,7 +46,7 @@ def mean_radiance(mi, lamp, seen, centre, scale, integrator="lumitree_path", **o
 
 @pytest.fixture(scope="module")
 def lamp(mi):
-    from lumitree.fit.field_light import with_field_light
+    from lumitree.fit.finishing import with_field_light
 
     asset = with_field_light(random_asset(11, density_scale=3.0))
     return lambda place: lumitree.shape(asset, place)

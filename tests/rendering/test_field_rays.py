@@ -48,7 +48,7 @@ def test_they_carry_the_flux_of_every_direction(mi, law, half):
 
 @pytest.mark.slow
 def test_a_field_gets_a_light_field_with_its_irradiance(mi):
-    from lumitree.fit.field_light import with_field_light
+    from lumitree.fit.finishing import with_field_light
     from lumitree.measure.irradiance import evaluate_irradiance
     from lumitree.rendering.asset_flux import asset_watts
 
@@ -62,7 +62,7 @@ def test_a_field_gets_a_light_field_with_its_irradiance(mi):
 
 
 def test_a_field_without_light_gets_none(mi):
-    from lumitree.fit.field_light import with_field_light
+    from lumitree.fit.finishing import with_field_light
 
     dark = uniform_asset(0.0, [1.0, 1.0, 1.0])
     assert with_field_light(dark).light_field is None

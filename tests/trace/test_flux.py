@@ -32,6 +32,20 @@ def test_emissive_sphere_has_flux_4_pi2_r2_l(lamp, light_paths, rounding):
     assert flux.paths == 1 << 20
 
 
+def test_camera_paths_are_traced_once(lamp):
+    """And not once for each of R, G and B."""
+    import drjit as dr
+
+    from lumitree.trace.flux import BATCH, flux_by_camera_paths
+
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
+        dr.kernel_history_clear()
+        flux_by_camera_paths(lamp, BATCH)
+        kernels = dr.kernel_history([dr.KernelType.JIT])
+    operations = [each["operation_count"] for each in kernels if each["size"] == BATCH]
+    assert sum(each > max(operations) / 2 for each in operations) == 1
+
+
 @pytest.mark.slow
 def test_standard_error_is_the_spread_of_independent_estimates(lamp):
     from lumitree.trace.flux import BATCH

@@ -296,3 +296,20 @@ def test_light_stays_on_connected_vertices(mi):
     exact = np.tile(np.sin(9 * both[:, :1]) + 2, (1, 3)).astype(np.float32)
     same = smoothed(exact, np.zeros(len(both), np.float32), paths, both, faces)
     np.testing.assert_allclose(same, exact, rtol=1e-4)
+
+
+def test_triangles_are_divided_as_trimesh_divides_them():
+    from trimesh.remesh import subdivide
+
+    from lumitree.viewer.triangles import quartered
+
+    rng = np.random.default_rng(0)
+    vertices, faces = (
+        rng.normal(size=(30, 3)),
+        np.array([rng.permutation(30)[:3] for _ in "x" * 40]),
+    )
+    middles, quarters = quartered(faces, len(vertices))
+    found = np.concatenate([vertices, vertices[middles].mean(axis=1)])
+    expected, triangles = subdivide(vertices, faces)[:2]
+    assert found.shape == expected.shape
+    np.testing.assert_allclose(found[quarters], expected[triangles])

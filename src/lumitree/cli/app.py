@@ -46,7 +46,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         if argv is None:
             open_streams()
-            _print_all_characters()
+            if isinstance(sys.stdout, io.TextIOWrapper):
+                # "?" for characters that the encoding lacks, such as ± in the C locale.
+                sys.stdout.reconfigure(errors="replace")
         return _run(list(sys.argv[1:] if argv is None else argv))
     except BrokenPipeError:
         # The program that reads the output, such as `head`, has closed it.
@@ -57,12 +59,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     finally:
         if argv is None:
             ignore_signals()
-
-
-def _print_all_characters() -> None:
-    """Print "?" for characters that the encoding of the output lacks, such as ± in the C locale."""
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="replace")
 
 
 def _run(arguments: list[str]) -> int:
@@ -242,7 +238,7 @@ def _explain(error: BaseException) -> int:
     )
 
 
-def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
+def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
     print(f"lumitree: warning: {shown(message, LONGEST_LINE)}", file=sys.stderr)
 
 

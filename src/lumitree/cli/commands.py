@@ -12,7 +12,7 @@ import math
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Group, Parameter
 
@@ -47,6 +47,16 @@ from lumitree.cli.signatures import (
     vector,
 )
 from lumitree.errors import LumitreeError, shown
+
+if TYPE_CHECKING:
+    from lumitree.asset.asset import Asset
+    from lumitree.lamp.source import LuminaireSource
+    from lumitree.measure.design import DesignResult
+    from lumitree.measure.evaluate import EvaluateResult
+    from lumitree.measure.illuminance import IlluminanceResult
+    from lumitree.rendering.placement import Placement
+    from lumitree.rendering.render import RenderResult
+    from lumitree.viewer.view import ViewResult
 
 Given = dict[str, Any]
 _MAX_LIST_BYTES = 1 << 26
@@ -105,7 +115,7 @@ class Command:
             print_result(result, getattr(result, self.opens) if self.opens else None)
 
 
-def _file(help: str, alias: str | tuple[str, ...] = (), default: Any = None) -> Option:
+def _file(help: str, alias: str | tuple[str, ...] = (), default: object = None) -> Option:
     return Option(Annotated[Path | None, Parameter(converter=one(str), alias=alias)], help, default)
 
 
@@ -206,9 +216,9 @@ def join_groups(command: str, arguments: Sequence[str]) -> list[str]:
     fields = {begin: options_of(kind).keys() - {first} for begin, (kind, first) in kinds.items()}
     if "place" in fields:
         fields["place"] |= _READING.keys()
-    joined: list[str | dict[str, Any]] = []
+    joined: list[str | Given] = []
     # The group to which an option belongs that comes now.
-    latest: dict[str, dict[str, Any]] = {}
+    latest: dict[str, Given] = {}
     rest = iter(arguments)
     for argument in rest:
         name, equals, value = argument.removeprefix("--").partition("=")
@@ -253,7 +263,7 @@ def _grouped(command: str, begin: str, given: Given) -> list[Any]:
     return found
 
 
-def _places(given: Given) -> list[Any]:
+def _places(given: Given) -> "list[Placement]":
     """The placements of `--placements` and `--place`, which it takes from the arguments."""
     import lumitree
 
@@ -322,7 +332,7 @@ def _bake(given: Given) -> Any:
     return call("bake_many", given | {"task": task}, sources, output)
 
 
-def _titled(text: str, reading: Given) -> Any:
+def _titled(text: str, reading: Given) -> "LuminaireSource":
     """The `LuminaireSource` of LUMINAIRE or NAME=LUMINAIRE; a file may have such a name."""
     from lumitree.lamp.source import LuminaireSource
 
@@ -369,34 +379,38 @@ def _show_bake(result: Any, given: Given) -> None:
         print_open(result.index if "task" not in given else result.folder)
     else:
         print_report(result.to_json())
-        print(_shown_part(result.asset.info, result.asset.num_leaves))
+        print(_shown_part(result.asset))
         print_open(result.path)
 
 
-def _shown_part(info: Any, leaves: int) -> str:
+def _shown_part(asset: "Asset") -> str:
     """Part of an asset that images show, and the part that it lacks for more."""
+    info = asset.info
     if info.appearance == "field":
         return "Images show the radiance field."
     if info.appearance == "geometry":
-        more = "" if leaves else " Other integrators than lumitree_path need a radiance field: "
-        return f"Images show the geometry of the lamp.{more}{more and '--parts all adds it.'}"
+        line = "Images show the geometry of the lamp."
+        more = " Other integrators than lumitree_path need a radiance field: --parts all adds it."
+        return line if asset.num_leaves else line + more
+    if asset.light_field is not None and asset.light_field.outline is not None:
+        return "Images show the luminous opening, evenly bright."
     line = "Images show the light field, blurred."
-    # A photometric file has no light paths, and no geometry to add.
+    # Files have no light paths, and no geometry to add.
     more = " --parts light,geometry adds what sharp ones need."
     return line if info.light_field_paths is None else line + more
 
 
-def _evaluate(given: Given) -> Any:
+def _evaluate(given: Given) -> "EvaluateResult":
     asset = os.fspath(given["asset"])
     return call("evaluate", {"output": f"{Path(asset).with_suffix('')}-evaluation.png"} | given)
 
 
-def _show_evaluation(result: Any, _: Given) -> None:
+def _show_evaluation(result: "EvaluateResult", _: Given) -> None:
     print_metrics(result.to_json())
     print_open(result.sheet or result.irradiance_sheet)
 
 
-def _render(given: Given) -> Any:
+def _render(given: Given) -> Given:
     from lumitree.core.arguments import check_sheet_output
     from lumitree.core.backend import load_rgb
     from lumitree.rendering.render_job import forget_passes
@@ -429,7 +443,7 @@ def _render(given: Given) -> Any:
     return image_report(result, output) | layers | files
 
 
-def _glare(given: Given, places: list[Any], result: Any) -> Given:
+def _glare(given: Given, places: "list[Placement]", result: "RenderResult") -> Given:
     """Glare of an image and of its lamps, with the illuminance at the camera."""
     import lumitree
     from lumitree.core.results import plain
@@ -454,7 +468,7 @@ def _show_image(result: Given, given: Given) -> None:
     print_open(given["output"])
 
 
-def _illuminance(given: Given) -> Any:
+def _illuminance(given: Given) -> "IlluminanceResult":
     from lumitree.measure.illuminance import check_illuminance_output
     from lumitree.measure.receivers import read_points
 
@@ -473,7 +487,7 @@ def _illuminance(given: Given) -> Any:
     return result
 
 
-def _design(given: Given) -> Any:
+def _design(given: Given) -> "DesignResult":
     from lumitree.measure.design import OUTPUTS
     from lumitree.measure.illuminance import check_illuminance_output
 
@@ -494,7 +508,7 @@ def _design(given: Given) -> Any:
     return result
 
 
-def _named(option: str, texts: Iterable[str], kind: Any) -> dict[str, Any]:
+def _named(option: str, texts: Iterable[str], kind: object) -> dict[str, Any]:
     """Values by name, of texts NAME=VALUE."""
     found = {}
     for text in texts:
@@ -507,7 +521,7 @@ def _named(option: str, texts: Iterable[str], kind: Any) -> dict[str, Any]:
     return found
 
 
-def _mix(given: Given) -> Any:
+def _mix(given: Given) -> Given:
     given = dict(given)
     output = given.pop("output")
     check_outputs(output, page=True)
@@ -517,7 +531,7 @@ def _mix(given: Given) -> Any:
     return image_report(result, output)
 
 
-def _view(given: Given) -> Any:
+def _view(given: Given) -> "ViewResult":
     from lumitree.core.interruption import deferred_interrupt
     from lumitree.viewer.view import address, open_server
 
@@ -537,20 +551,20 @@ def _view(given: Given) -> Any:
     return result
 
 
-def _info(given: Given) -> Any:
+def _info(given: Given) -> Given:
     import lumitree
     from lumitree.rendering.asset_cache import asset_report
 
     return {"asset": asset_report(lumitree.load(given["asset"]), given["asset"])}
 
 
-def _list(_: Given) -> Any:
+def _list(_: Given) -> Given:
     import lumitree
 
     return {"luminaires": lumitree.builtin_luminaires()}
 
 
-def _demo(given: Given) -> Any:
+def _demo(given: Given) -> Given:
     from lumitree.demo import demo
     from lumitree.rendering.photograph import PhotoSettings
 

@@ -6,12 +6,15 @@ import sys
 import textwrap
 from collections.abc import Collection
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from lumitree.cli.signatures import meanings
 from lumitree.core.tables import converted, read_toml
 from lumitree.errors import LumitreeError, shown
 from lumitree.fit.config import BakeConfig, Method, Quality
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 _WIDTH = 98
 _FURTHER = ("work", "variant")
@@ -64,7 +67,7 @@ def _names(values: dict[str, Any]) -> list[str]:
     return [*values, *(f"{key}.{each}" for key, table in tables.items() for each in table)]
 
 
-def _completed(values: dict[str, Any], config: Any) -> dict[str, Any]:
+def _completed(values: dict[str, Any], config: "DataclassInstance") -> dict[str, Any]:
     """A table, with the fields of a dataclass that it lacks."""
     found = {field.name: getattr(config, field.name) for field in dataclasses.fields(config)}
     for name, value in values.items():
@@ -87,12 +90,12 @@ def write_config(
     return {"config": file}
 
 
-def config_text(config: Any) -> str:
+def config_text(config: "DataclassInstance") -> str:
     """A TOML file of all settings and of what they mean. All values are commented out."""
     return "\n".join(_lines(config, "")) + "\n"
 
 
-def _lines(config: Any, name: str) -> list[str]:
+def _lines(config: "DataclassInstance", name: str) -> list[str]:
     helps = meanings(inspect.getdoc(type(config)) or "")
     fields = dataclasses.fields(config)
     groups = [each.name for each in fields if dataclasses.is_dataclass(getattr(config, each.name))]
@@ -114,7 +117,7 @@ def _lines(config: Any, name: str) -> list[str]:
     return lines
 
 
-def _shown(value: Any) -> str:
+def _shown(value: object) -> str:
     """A value in TOML, or "..." for None, which TOML does not have."""
     if value is None:
         return "..."

@@ -1,25 +1,59 @@
 """Printing of results."""
 
+from __future__ import annotations
+
 import os
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from lumitree.errors import shown
+
+if TYPE_CHECKING:
+    from lumitree.core.results import Json, Result
+    from lumitree.exports.export import ExportResult
+    from lumitree.many.result import BakedLamp
+    from lumitree.measure.design import DesignResult
+    from lumitree.measure.illuminance import IlluminanceResult
+    from lumitree.measure.photometry import PhotometryResult
+    from lumitree.measure.preview import AssetPreviewResult, PreviewResult
+    from lumitree.measure.receivers import AreaFigures, LampIlluminance
 
 LONGEST_LINE = 1000
 # Longest lists of lamps and shapes that are printed whole.
 _MOST_LAMPS, _MOST_SHAPES = 100, 20
 # Figures of a radiance field.
 _OF_FIELD = ("tree_depth", "leaves", "nodes", "l_max", "law", "max_radiance")
+# Names and units of figures.
+_LABELS = {
+    "dgp": "DGP",
+    "ev": "exposure",
+    "file_bytes": "file size",
+    "lumens": "luminous flux",
+    "ugr": "UGR",
+    "ugr_of_lamps": "UGR of lamps",
+    "watts": "radiant flux",
+}
+_UNITS = {
+    "background": "cd/m²",
+    "lumens": "lm",
+    "max_radiance": "W/(m² sr)",
+    "mean_radiance": "W/(m² sr)",
+    "size": "in the unit of the lamp's file",
+    "source_luminance": "cd/m²",
+    "source_solid_angle": "sr",
+    "vertical_illuminance": "lx",
+    "watts": "W of R, G, B",
+}
 
 
-def print_lines(values: dict[str, Any]) -> None:
-    """Print one line per value: name, value."""
+def print_lines(values: Json) -> None:
+    """Print one line per value: name, value; values are below each other."""
+    width = max([20, *map(len, values)])
     for name, value in values.items():
-        print(f"{name:>20}  {shown(value, LONGEST_LINE)}")
+        print(f"{name:>{width}}  {shown(value, LONGEST_LINE)}")
 
 
-def print_result(result: Any, opens: str | os.PathLike[str] | None = None) -> None:
+def print_result(result: Result, opens: str | os.PathLike[str] | None = None) -> None:
     """Print a `Result`, and last what to open; see `print_open`."""
     print_report(result.to_json())
     print_open(opens)
@@ -42,7 +76,7 @@ def check_outputs(image: str, *buffers: str | None, page: bool = False) -> None:
             check_writable(path)
 
 
-def image_report(result: Any, image: str) -> dict[str, Any]:
+def image_report(result: Result, image: str) -> Json:
     """Dictionary of a result whose image was written, with the name of the image."""
     report = result.to_json()
     costs = {name: report.pop(name) for name in ("seconds", "peak_memory_bytes")}
@@ -55,7 +89,7 @@ def print_open(path: str | os.PathLike[str] | None) -> None:
         print(f"Open: {shown(path, LONGEST_LINE)}")
 
 
-def print_photograph(report: dict[str, Any]) -> None:
+def print_photograph(report: Json) -> None:
     """Print the report of an image, with the exposure and white balance of its photograph."""
     ev, kelvin = report["ev"], report["white_balance"]
     balance = "off" if kelvin is None else f"{kelvin:,.0f} K"
@@ -63,35 +97,27 @@ def print_photograph(report: dict[str, Any]) -> None:
     print_lines({"exposure": f"EV {ev:.1f} (less is brighter), white balance {balance}"})
 
 
-def print_report(report: dict[str, Any]) -> None:
+def print_report(report: Json) -> None:
     """Print a dictionary of figures; nested dictionaries are flattened by one level."""
-    flat: dict[str, Any] = {}
-    for name, value in report.items():
+    flat: Json = {}
+    for name, value in _used(report):
         if name == "seconds":
             flat |= {f"{stage} (s)": round(seconds, 1) for stage, seconds in value.items()}
-        elif name.endswith("_bytes"):
-            flat[name.removesuffix("_bytes").replace("_", " ")] = _megabytes(value)
         elif name == "irradiance":
             flat |= _irradiance_lines(value)
         elif isinstance(value, dict):
-            # An asset without a field says nothing of one.
-            unused = _OF_FIELD if value.get("leaves") == 0 else ()
-            flat |= {
-                key: _shown_value(key, item)
-                for key, item in value.items()
-                if item is not None and key not in unused
-            }
-        elif value is not None:
-            flat[name.replace("_", " ")] = _shown_value(name, value)
+            flat |= {_label(key): _shown_value(key, item) for key, item in _used(value)}
+        else:
+            flat[_label(name)] = _shown_value(name, value)
     print_lines(flat)
 
 
-def print_metrics(report: dict[str, Any]) -> None:
+def print_metrics(report: Json) -> None:
     """Print the mean metrics of an evaluation as a table."""
     views = "irradiance"
     if report["views"]:
         views = f"{len(report['views'])} views, {report['spp']:,} paths per pixel"
-    rows = [(metric, f"{value:.4f}") for metric, value in report["metrics"].items()]
+    rows = [(metric, _rounded(value, "")) for metric, value in report["metrics"].items()]
     _print_table(f"{shown(report['asset']['luminaire'])}: {views}", ("metric", "mean"), rows)
     _print_irradiance(report["irradiance"])
     for name in ("sheet", "irradiance_sheet"):
@@ -100,7 +126,7 @@ def print_metrics(report: dict[str, Any]) -> None:
             print(f"{label}: {shown(report[name], LONGEST_LINE)}")
 
 
-def print_lamps(lamps: Sequence[Any]) -> None:
+def print_lamps(lamps: Sequence[BakedLamp]) -> None:
     """Print one line per `BakedLamp`; of more than 100 only those that are not complete."""
     from lumitree.many.page import counted, lumens_text
 
@@ -120,7 +146,7 @@ def print_lamps(lamps: Sequence[Any]) -> None:
         print(f"{counted(new)} baked, {len(complete) - new:,} kept, {_megabytes(size)}")
 
 
-def _irradiance_lines(irradiance: dict[str, Any]) -> dict[str, str]:
+def _irradiance_lines(irradiance: Json) -> dict[str, str]:
     """Lines of a bake: flux through a cube over the luminaire's, and RMS errors."""
     lines = {}
     if "irradiance_ratio" in irradiance:
@@ -133,7 +159,7 @@ def _irradiance_lines(irradiance: dict[str, Any]) -> dict[str, str]:
     return lines
 
 
-def _print_irradiance(irradiance: dict[str, Any] | None) -> None:
+def _print_irradiance(irradiance: Json | None) -> None:
     """The table of the faces, or a line that says that there is none."""
     if irradiance is None:
         print(
@@ -168,24 +194,40 @@ def _megabytes(value: int) -> str:
     return f"{value / 1e6:.1f} MB" if value >= 50_000 else f"{value / 1e3:.1f} kB"
 
 
-def _shown_value(name: str, value: Any) -> Any:
-    """A figure by its name: bytes in megabytes, noise in per cent."""
+def _used(report: Json) -> Iterable[tuple[str, Any]]:
+    """Figures that are known; an asset without a field says nothing of one."""
+    unused = _OF_FIELD if report.get("leaves") == 0 else ()
+    return [(k, v) for k, v in report.items() if v is not None and k not in unused]
+
+
+def _label(name: str) -> str:
+    return _LABELS.get(name, name.removesuffix("_bytes").replace("_", " "))
+
+
+def _shown_value(name: str, value: Any) -> str:
+    """A figure by its name, with its unit: bytes in megabytes, noise in per cent."""
     if name.endswith("_bytes"):
         return _megabytes(value)
     if name == "noise" or name.endswith("_noise"):
         return f"{100 * value:.2g} %"
-    return _rounded(value)
+    if name == "ev":
+        return f"EV {value:.1f}"
+    text = _rounded(value, " x " if name in ("resolution", "size") else ", ")
+    return f"{text} {_UNITS[name]}" if name in _UNITS else text
 
 
-def _rounded(value: Any) -> Any:
-    if isinstance(value, float):
-        return float(f"{value:.5g}")
+def _rounded(value: object, between: str) -> str:
+    """Numbers with four digits, whole ones with all."""
+    from lumitree.core.results import digits_text
+
     if isinstance(value, list):
-        return ", ".join(str(_rounded(item)) for item in value)
-    return value
+        return between.join(_rounded(item, between) for item in value)
+    if isinstance(value, float):
+        return digits_text(value)
+    return f"{value:,}" if isinstance(value, int) and value >= 10_000 else str(value)
 
 
-def print_list(result: dict[str, Any]) -> None:
+def print_list(result: Json) -> None:
     """Print the built-in luminaires."""
     for name, item in result["luminaires"].items():
         size = " x ".join(f"{side:.3g}" for side in item["size"])
@@ -197,9 +239,11 @@ def print_list(result: dict[str, Any]) -> None:
         )
 
 
-def print_preview(result: Any) -> None:
+def print_preview(result: PreviewResult | AssetPreviewResult) -> None:
     """Print the figures of a preview, and the shapes of a luminaire."""
-    if not hasattr(result, "shapes"):
+    from lumitree.measure.preview import PreviewResult
+
+    if not isinstance(result, PreviewResult):
         print_result(result, result.image)
         return
     watts = ", ".join(f"{value:.4g}" for value in result.flux.watts)
@@ -211,7 +255,7 @@ def print_preview(result: Any) -> None:
         "emitters": result.emitters,
         **({} if highest is None else {"L_max": f"{highest:.4g} W/(m² sr)"}),
         "exposure": f"EV {result.ev:.1f}",
-        "size": " x ".join(f"{side:.4g}" for side in result.size),
+        "size": _shown_value("size", list(result.size)),
         "media": "yes" if result.has_media else "no",
         "flux": f"{result.flux} (if lengths are in metres)",
         "flux R, G, B": f"{watts} ± {errors} W",
@@ -227,7 +271,7 @@ def print_preview(result: Any) -> None:
     print_open(result.image)
 
 
-def print_exported(result: Any) -> None:
+def print_exported(result: ExportResult) -> None:
     """Print the figures of an export, and what is not carried over."""
     report = result.to_json()
     report["files"] = len(result.files)
@@ -237,11 +281,13 @@ def print_exported(result: Any) -> None:
     print_open(result.file)
 
 
-def print_illuminance(result: Any, outputs: Sequence[str]) -> None:
+def print_illuminance(result: IlluminanceResult, outputs: Sequence[str]) -> None:
     """Print the illuminance of each area."""
+    from lumitree.measure.photometric_figures import Estimate
+
     rows = []
     for area in result.areas:
-        mean = f"{area.mean:.4g} ± {area.mean_error:.2g}"
+        mean = str(Estimate(area.mean, area.mean_error))
         count = f"{area.count - area.enclosed:,}"
         ratios = (f"{area.uniformity:.3f}", f"{area.diversity:.3f}")
         extremes = (f"{area.smallest:.4g}", f"{area.largest:.4g}")
@@ -258,7 +304,7 @@ def print_illuminance(result: Any, outputs: Sequence[str]) -> None:
     print_open(next(iter(outputs), None))
 
 
-def print_design(result: Any, outputs: Sequence[str]) -> None:
+def print_design(result: DesignResult, outputs: Sequence[str]) -> None:
     """Print the illuminance before, predicted and simulated, and the dim levels."""
     rows = []
     for area in result.areas:
@@ -291,7 +337,7 @@ def print_design(result: Any, outputs: Sequence[str]) -> None:
     print_open(next(iter(outputs), None))
 
 
-def _print_lamps(area: Any, lamps: Any) -> None:
+def _print_lamps(area: AreaFigures, lamps: LampIlluminance) -> None:
     """Print the mean illuminance of an area by each lamp."""
     rows = []
     for name, direct, reflected in zip(lamps.names, *lamps.means(area), strict=True):
@@ -301,7 +347,7 @@ def _print_lamps(area: Any, lamps: Any) -> None:
     _print_table(f"{shown(area.name, 100)}: mean by lamp, lx", heads, rows)
 
 
-def print_photometry(result: Any) -> None:
+def print_photometry(result: PhotometryResult) -> None:
     """Print the photometric figures, and the distance of the far field."""
     from lumitree.measure.photometric_figures import NEAR_FIELD_HEADER, figure_rows, near_field_rows
 
@@ -311,6 +357,8 @@ def print_photometry(result: Any) -> None:
     if result.near_field:
         title = "far field, intensity / distance², within 5 %"
         _print_table(title, NEAR_FIELD_HEADER, near_field_rows(result.near_field))
+        if not all(limit.is_known for limit in result.near_field):
+            print(f"note: for directions with too few rays trace more: --paths {4 * result.rays}")
     for path in result.files:
         print(f"written: {shown(path, LONGEST_LINE)}")
     # A report, if there is one.

@@ -6,7 +6,9 @@ Symbols
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import drjit as dr
@@ -36,18 +38,11 @@ class AliasTable:
         sizes = [rows * count for rows, count in parts]
         words = np.empty((sum(sizes), 2), np.uint32)
         first = 0
-        for block in weights:
-            rows, count = block.shape
-            threshold, alias = alias_rows(block)
-            rounded = np.clip(np.ceil(threshold * steps), 1, steps)
-            places = (count * np.arange(rows)[:, None] + alias).ravel()
-            others = np.bincount(places, (1 - rounded / steps).ravel(), block.size)
-            pmf = (rounded / steps).ravel() + others
-            row = words[first : first + block.size]
-            word = (rounded.astype(np.uint64) - 1 << bits) | alias.astype(np.uint64)
-            row[:, 0] = word.ravel()
-            row[:, 1] = (pmf / count).astype(np.float32).view(np.uint32)
-            first += block.size
+        # NumPy sorts without the interpreter's lock, while the device computes further weights.
+        with ThreadPoolExecutor(dr.thread_count()) as pool:
+            for block in pool.map(functools.partial(_words, bits=bits), weights):
+                words[first : first + len(block)] = block
+                first += len(block)
         self._words = on_device(mi.UInt32, words)
         starts = np.cumsum([0, *sizes[:-1]])
         self._parts = on_device(
@@ -91,6 +86,19 @@ class AliasTable:
             return row * self._count, self._count
         found = dr.gather(mi.Vector2u, self._parts, part)
         return found.x + row * found.y, found.y
+
+
+def _words(weights: NDArray[np.float64], bits: int) -> NDArray[np.uint32]:
+    """Both words of the entries [M × N, 2] of rows [M, N]."""
+    (rows, count), steps = weights.shape, 1 << (32 - bits)
+    threshold, alias = alias_rows(weights)
+    rounded = np.clip(np.ceil(threshold * steps), 1, steps)
+    places = (count * np.arange(rows)[:, None] + alias).ravel()
+    others = np.bincount(places, (1 - rounded / steps).ravel(), weights.size)
+    pmf = (rounded / steps).ravel() + others
+    word = (rounded.astype(np.uint64) - 1 << bits) | alias.astype(np.uint64)
+    probability = (pmf / count).astype(np.float32).view(np.uint32)
+    return np.stack([word.ravel().astype(np.uint32), probability], axis=1)
 
 
 def alias_rows(weights: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

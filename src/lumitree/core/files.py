@@ -156,7 +156,10 @@ def atomic_path(path: FilePath) -> Iterator[Path]:
         streamed = is_stream(path)
         target = Path(tempfile.gettempdir(), path.name) if streamed else destination(path)
         target.parent.mkdir(parents=True, exist_ok=True)
-        _remove_abandoned_files(target)
+        for entry in os.listdir(target.parent):
+            found = _TEMPORARY_NAME.fullmatch(entry)
+            if found is not None and (found[1], found[2]) == (target.stem, target.suffix):
+                _remove_abandoned(target.parent / entry, remove)
         temporary = target.with_name(
             f".{target.stem}{_TEMPORARY}{secrets.token_hex(4)}{target.suffix}"
         )
@@ -503,7 +506,12 @@ class ScratchFolder:
     """
 
     def __init__(self) -> None:
-        self.path = Path(tempfile.mkdtemp(dir=_process_folder(tempfile.gettempdir())))
+        root = tempfile.gettempdir()
+        folder = _process_folders.get(root)
+        # Many systems remove old temporary files.
+        if folder is None or not folder.is_dir():
+            folder = _process_folders[root] = _until_exit.enter_context(scratch_folder())
+        self.path = Path(tempfile.mkdtemp(dir=folder))
         weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
 
 
@@ -511,14 +519,6 @@ _until_exit = contextlib.ExitStack()
 atexit.register(_until_exit.close)
 # By the folder for temporary files.
 _process_folders: dict[str, Path] = {}
-
-
-def _process_folder(root: str) -> Path:
-    folder = _process_folders.get(root)
-    # Many systems remove old temporary files.
-    if folder is None or not folder.is_dir():
-        folder = _process_folders[root] = _until_exit.enter_context(scratch_folder())
-    return folder
 
 
 def remove_abandoned_scratch() -> None:
@@ -607,14 +607,6 @@ def _busy(folder: Path, other: str) -> BusyFolderError:
     return BusyFolderError(
         f"another process works in {shown(folder, 300)}; wait for it, or choose another {other}"
     )
-
-
-def _remove_abandoned_files(path: Path) -> None:
-    """Remove temporary files of `path` that no running process has locked."""
-    for entry in os.listdir(path.parent):
-        found = _TEMPORARY_NAME.fullmatch(entry)
-        if found is not None and (found[1], found[2]) == (path.stem, path.suffix):
-            _remove_abandoned(path.parent / entry, remove)
 
 
 def _remove_abandoned_folders(root: Path, prefix: str) -> None:

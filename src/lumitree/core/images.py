@@ -6,7 +6,6 @@ import json
 import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import OpenEXR
@@ -17,7 +16,7 @@ from PIL.PngImagePlugin import PngInfo
 from lumitree._version import __version__
 from lumitree.core.file_kinds import EXR, what_it_is
 from lumitree.core.files import atomic_path
-from lumitree.core.results import plain
+from lumitree.core.results import Json, plain
 from lumitree.errors import LumitreeError, shown
 
 # Largest side of an image that is read, pixels.
@@ -167,7 +166,7 @@ def check_exr_name(path: str | os.PathLike[str]) -> None:
         )
 
 
-def _read_header(path: str | os.PathLike[str]) -> dict[str, Any]:
+def _read_header(path: str | os.PathLike[str]) -> Json:
     """Header of an OpenEXR file; refuses sizes for which memory would be reserved in vain."""
     try:
         with _silent(), OpenEXR.File(str(path), header_only=True) as file:

@@ -283,11 +283,7 @@ def sampled_spectrum(
         return values * np.maximum(1 - np.abs(WAVELENGTHS - wavelengths) / _STEP, 0)
     if not means and np.diff(wavelengths).min() >= _STEP:
         return np.interp(WAVELENGTHS, wavelengths, values, left=0, right=0)
-    return _means(wavelengths, values)
-
-
-def _means(wavelengths: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Means over 1 nm around each of `WAVELENGTHS`: differences of the exact integral."""
+    # Means over 1 nm around each wavelength: differences of the exact integral.
     edges = np.append(WAVELENGTHS - _STEP / 2, WAVELENGTHS[-1] + _STEP / 2)
     # The integral is quadratic between the nodes; with the edges as nodes it is exact at them.
     nodes = np.union1d(wavelengths, edges[(edges > wavelengths[0]) & (edges < wavelengths[-1])])

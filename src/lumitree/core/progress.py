@@ -7,6 +7,7 @@ import collections
 import contextlib
 import contextvars
 import dataclasses
+import math
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -66,6 +67,7 @@ class _Display:
         self._bar: Any = None
         # Bars by level, from the outermost task's.
         self._rows: list[Any] = []
+        # Time of the task's latest line; infinite after the line of 100 %.
         self._logged = 0.0
 
     def __repr__(self) -> str:
@@ -77,13 +79,19 @@ class _Display:
             if self._bar is not None and progress.within is None:
                 self._bar.stop()
                 self._bar, self._rows = None, []
-            self._remove_rows(len(_with_outer(progress)) - 1)
+            outer = len(_with_outer(progress)) - 1
+            if self._bar is not None:
+                for row in self._rows[outer:]:
+                    self._bar.remove_task(row)
+            del self._rows[outer:]
             self._logged = 0.0
         elif progress.seconds >= _QUIET_SECONDS:
             if sys.stderr.isatty() or _in_notebook():
                 self._show_bar(progress)
-            elif progress.seconds - self._logged >= _LOG_SECONDS or progress.done >= progress.total:
-                self._logged = progress.seconds
+                return
+            is_done = progress.done >= progress.total
+            if progress.seconds - self._logged >= (0.0 if is_done else _LOG_SECONDS):
+                self._logged = math.inf if is_done else progress.seconds
                 self._log(progress)
 
     def _show_bar(self, progress: Progress) -> None:
@@ -107,11 +115,6 @@ class _Display:
             self._bar.update(
                 self._rows[level], description=each.task, completed=each.done, note=each.note
             )
-
-    def _remove_rows(self, first: int) -> None:
-        for row in self._rows[first:]:
-            self._bar.remove_task(row)
-        del self._rows[first:]
 
     def _log(self, progress: Progress) -> None:
         percent = 100 * progress.done / progress.total

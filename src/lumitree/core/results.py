@@ -54,7 +54,7 @@ class ImageResult(Result):
         return self.png
 
 
-def plain(value: Any) -> Any:
+def plain(value: object) -> Any:
     """Convert a value for `json.dumps`: paths to text, arrays and tuples to lists, and so on.
 
     Numbers that JSON does not have, NaN and infinities, become None.
@@ -101,7 +101,7 @@ class Stopwatch:
             elapsed = time.perf_counter() - start
             self.seconds[name] = round(self.seconds.get(name, 0.0) + elapsed, 3)
 
-    def costs(self) -> dict[str, Any]:
+    def costs(self) -> Json:
         """Values of the fields of `Result`."""
         return {"seconds": self.seconds, "peak_memory_bytes": peak_memory_bytes()}
 
@@ -112,3 +112,9 @@ def peak_memory_bytes() -> int:
         return 0
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak if sys.platform == "darwin" else peak * 1024
+
+
+def digits_text(value: float) -> str:
+    """A number with four significant digits, and all digits before the point."""
+    digits = 0 if value == 0 or not math.isfinite(value) else 3 - math.floor(math.log10(abs(value)))
+    return f"{round(value, max(digits, 0)):,.12g}"

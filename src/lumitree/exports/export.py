@@ -87,7 +87,7 @@ def export(
 
     * `.py`: a script that contains the lamp and runs in Blender 4.2 or newer. The geometry is added
       so that cameras and mirrors show it, and neither illuminates nor casts shadows. All are
-      children of one empty, whose transform and property "gain" apply to the lamp.
+      children of one empty, whose transform and custom properties apply to the lamp.
     * `.blend`: the file that this script makes.
     * `.rad`: a scene of Radiance, with a folder of function and data files.
     * `.pbrt`: a scene of pbrt-v4 to include, with a folder of images.
@@ -143,7 +143,8 @@ def export(
     watch = Stopwatch()
     with watch.stage("load"):
         given = open_asset(asset)
-        refuse_frame(asset, given, metres, up)
+        if given.is_photometric:
+            refuse_frame(asset, metres, up)
         near = given.near_origin
         loaded = near if metres == 1 else near.scaled(metres)
     request = ExportRequest(

@@ -97,7 +97,13 @@ class _Images:
 def _write(request: ExportRequest, folder: Path) -> Written:
     lights = request.place("y")
     images, luminaire, count = _Images(lights), request.asset.luminaire, len(lights.position)
-    lines = list(_heading(luminaire, count))
+    lines = [
+        f"# {shown(luminaire)}: {count} point lights for pbrt-v4, written by lumitree.",
+        '# Write Include "this file" after WorldBegin of a scene in the same folder. To move the',
+        "# lamp, put AttributeBegin and transforms before it. Metres, y up, right-handed.",
+        f"# Images are in W/sr of R, G and B; the scale of {LUMENS_PER_WATT:g} lm/W makes them",
+        "# candela, so that R, G and B of an image of pbrt have a luminance in cd/m².",
+    ]
     (folder / request.side_folder).mkdir()
     with progress(f"images of {luminaire}", count) as advance:
         for index, position in enumerate(lights.position.tolist()):
@@ -108,14 +114,6 @@ def _write(request: ExportRequest, folder: Path) -> Written:
             advance(1)
     (folder / request.name).write_bytes(("\n".join(lines) + "\n").encode())
     return Written(not_carried_over=_LOST, lights=count)
-
-
-def _heading(luminaire: str, count: int) -> Iterator[str]:
-    yield f"# {shown(luminaire)}: {count} point lights for pbrt-v4, written by lumitree."
-    yield '# Write Include "this file" after WorldBegin of a scene in the same folder. To move the'
-    yield "# lamp, put AttributeBegin and transforms before it. Metres, y up, right-handed."
-    yield f"# Images are in W/sr of R, G and B; the scale of {LUMENS_PER_WATT:g} lm/W makes them"
-    yield "# candela, so that R, G and B of an image of pbrt have a luminance in cd/m²."
 
 
 def _light(position: list[float], colour: list[float], name: str) -> Iterator[str]:

@@ -198,7 +198,13 @@ def _triangulated(geometry: AssetGeometry) -> list[MeshArrays]:
 def _unit_shape(shape: UnitShape) -> MeshArrays:
     """Mesh of a sphere, disk, cylinder or rectangle, in the geometry's coordinates."""
     if shape.type == "rectangle":
-        mesh = _rectangle()
+        corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+        mesh: MeshArrays = {
+            "vertices": corners,
+            "normals": np.tile([0.0, 0, 1], (4, 1)),
+            "texcoords": (corners[:, :2] + 1) / 2,
+            "faces": np.array([[0, 1, 2], [0, 2, 3]]),
+        }
     else:
         mesh = _curved(shape.type)
     matrix = np.array(shape.to_world, np.float64)
@@ -209,16 +215,6 @@ def _unit_shape(shape: UnitShape) -> MeshArrays:
     normals = mesh["normals"] @ np.linalg.inv(linear)
     mesh["normals"] = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     return {**mesh, "colours": np.zeros((0, 3))}
-
-
-def _rectangle() -> MeshArrays:
-    corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
-    return {
-        "vertices": corners,
-        "normals": np.tile([0.0, 0, 1], (4, 1)),
-        "texcoords": (corners[:, :2] + 1) / 2,
-        "faces": np.array([[0, 1, 2], [0, 2, 3]]),
-    }
 
 
 def _curved(kind: Literal["sphere", "cylinder", "disk"]) -> MeshArrays:

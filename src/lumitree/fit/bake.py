@@ -27,8 +27,13 @@ from lumitree.fit.config import (
     chosen_config,
     refuse_unused,
 )
-from lumitree.fit.finishing import finish_bake, open_work_folder, remove_state, save_asset
-from lumitree.fit.result import BakeResult
+from lumitree.fit.finishing import (
+    BakeResult,
+    finish_bake,
+    open_work_folder,
+    remove_state,
+    save_asset,
+)
 from lumitree.lamp.dataset import Dataset
 from lumitree.lamp.diagnosis import warn_of_faults
 from lumitree.lamp.source import as_source, dataset_folder, refuse_options, source_kind
@@ -281,7 +286,7 @@ def refine(
             `rays` is given.
         rays: budget of rays, 1 to 2⁵⁰. If `time` is given too, the call ends at whichever is
             reached first. Default: no limit.
-        irradiance_paths: see `bake`. Default: 2¹⁹.
+        irradiance_paths: see `bake`. Default: 2¹⁸.
         seed: root seed of all random numbers, 0 to 2³¹ - 1.
         work: folder for the state; see `bake`.
         variant: Mitsuba variant; see `bake`.
@@ -320,7 +325,7 @@ def refine(
         light = rough.light_field
         better = dataclasses.replace(
             fit.asset,
-            # A light field of the rough field's rays is made again (`field_light`).
+            # A light field of the rough field's rays is made again.
             light_field=None if light is None or light.traced is None else light,
             geometry=rough.geometry,
             light_factors=rough.light_factors,

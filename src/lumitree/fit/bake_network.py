@@ -25,13 +25,12 @@ from lumitree.core.files import (
 )
 from lumitree.core.interruption import STATE_IS_KEPT, Interrupted
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
-from lumitree.core.results import Stopwatch, peak_memory_bytes
+from lumitree.core.results import Result, Stopwatch, peak_memory_bytes
 from lumitree.core.seeds import check_seed
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.fit.config import BakeConfig
-from lumitree.fit.finishing import finish_bake, remove_state
+from lumitree.fit.finishing import BakeResult, finish_bake, remove_state
 from lumitree.fit.network.config import TrainConfig
-from lumitree.fit.result import BakeResult, CaptureResult, TrainResult
 from lumitree.lamp.dataset import MANIFEST, MAX_VIEWS, Split
 from lumitree.lamp.diagnosis import warn_of_faults
 from lumitree.octree.build import check_tree_depth
@@ -39,6 +38,49 @@ from lumitree.octree.build import check_tree_depth
 if TYPE_CHECKING:
     from lumitree.asset.light_field import LightField
     from lumitree.lamp.luminaire import LampWorkers, Luminaire, LuminaireLike
+
+
+@dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
+class CaptureResult(Result):
+    """Result of a capture.
+
+    Attributes:
+        dataset: folder of the dataset.
+        luminaire: name of the luminaire.
+        views: number of views in the dataset.
+    """
+
+    dataset: Path
+    luminaire: str
+    views: int
+
+
+@dataclasses.dataclass(frozen=True, repr=False, kw_only=True)
+class TrainResult(Result):
+    """Result of the training of a network.
+
+    Attributes:
+        run: folder of the checkpoints.
+        steps: number of steps, including steps of earlier calls.
+        psnr: PSNR on held-out rays, dB.
+        psnr_black: PSNR of an all-black prediction of the same rays, dB.
+        rays_per_second: training speed of this call.
+        stopped_by: number of the signal that interrupted the training; None if there was none.
+        finished: whether the training is finished. A signal may have arrived afterwards.
+    """
+
+    run: Path
+    steps: int
+    psnr: float
+    psnr_black: float
+    rays_per_second: float
+    stopped_by: int | None = None
+    finished: bool = dataclasses.field(default=True, repr=False)
+
+    @property
+    def continues(self) -> str:
+        """Command or call that continues it, for messages."""
+        return "the same command with --resume continues"
 
 
 def bake_network(
@@ -251,7 +293,7 @@ def extract(
         samples_per_leaf: positions per leaf, 1 to 1,048,576. Default: 64, or 256 for "paper".
         luminaire: the captured luminaire, in any form that `bake` takes. If it is given, the asset
             gets the light field too, and the irradiance around both is compared.
-        irradiance_paths: see `bake`. Default: 2¹⁹.
+        irradiance_paths: see `bake`. Default: 2¹⁸.
         seed: root seed of the light field, 0 to 2³¹ - 1.
         variant: Mitsuba variant; see `bake`.
         progress: function that is called with a `Progress` after each step; see `bake`.

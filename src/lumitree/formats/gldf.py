@@ -374,23 +374,18 @@ class _Bake:
             geometry, box = self._geometry(inner, model, sources)
             corners = np.concatenate([corners, box])
         if model is None and len(sources) == 1 and (sources[0].pose == np.eye(4)).all():
-            return self._single(sources[0])
+            (source,) = sources
+            distribution = source.distribution
+            asset = bake_distribution(
+                dataclasses.replace(distribution, name=self._variant.name, opening=source.opening)
+            )
+            field, factor = asset.light_field, source.lumens / distribution.lumens
+            assert field is not None
+            scaled = dataclasses.replace(field, scale=field.scale * factor)
+            return dataclasses.replace(asset, light_field=scaled)
         frame = LocalFrame.of_box(corners.min(axis=0), corners.max(axis=0))
         asset = bake_sources(sources, frame, self._variant.name)
         return dataclasses.replace(asset, geometry=geometry)
-
-    def _single(self, source: LightSource) -> Asset:
-        """The asset of a photometry as its file has it."""
-        asset = bake_distribution(
-            dataclasses.replace(
-                source.distribution, name=self._variant.name, opening=source.opening
-            )
-        )
-        field, factor = asset.light_field, source.lumens / source.distribution.lumens
-        assert field is not None
-        return dataclasses.replace(
-            asset, light_field=dataclasses.replace(field, scale=field.scale * factor)
-        )
 
     def _source(self, emitter: GldfEmitter, model: L3d | None) -> LightSource:
         distribution = self._photometry(emitter.photometry)

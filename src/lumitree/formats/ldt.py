@@ -207,7 +207,13 @@ class _Reader:
                 "luminous_opening": str(opening),
             },
         )
-        self._compare_flux(lamp.lumens, flux, factor)
+        stated = flux * self._field(_RATIO) / 100
+        by = "" if factor == 1 else f" (its conversion factor of {factor:g} is applied)"
+        what = (
+            f"but its lamps of {flux:g} lm with a light output ratio of {self._field(_RATIO):g} % "
+            f"give {stated:.6g} lm{by}"
+        )
+        warn_of_flux(self._path, lamp.lumens, stated, what)
         return lamp
 
     def _lamps(self, flux: float) -> str:
@@ -227,15 +233,6 @@ class _Reader:
         line = _SETS + 3 + _LINES_OF_SET * index
         text = self._lines[line - 1] if line <= len(self._lines) else ""
         return number(text, f"line {line}, luminous flux of set {index + 1},") if text else 0.0
-
-    def _compare_flux(self, lumens: float, flux: float, factor: float) -> None:
-        stated = flux * self._field(_RATIO) / 100
-        by = "" if factor == 1 else f" (its conversion factor of {factor:g} is applied)"
-        what = (
-            f"but its lamps of {flux:g} lm with a light output ratio of {self._field(_RATIO):g} % "
-            f"give {stated:.6g} lm{by}"
-        )
-        warn_of_flux(self._path, lumens, stated, what)
 
     def _opening(self) -> Opening:
         """A width of 0 means a round area, whose diameter is the length."""

@@ -111,11 +111,8 @@ class StartCells:
 
 def bake_distribution(distribution: IntensityDistribution, colour: RGB = WHITE) -> Asset:
     """Asset that emits a distribution from its opening, in linear RGB `colour` of luminance 1."""
-    opening, outline = distribution.opening, distribution.opening.outline
-    if max(opening.sides) < _MIN_EXTENT:
-        opening = Opening((POINT_SIZE, POINT_SIZE, POINT_SIZE))
-    sides = np.array(opening.sides)
-    frame = LocalFrame.of_box(-sides / 2, sides / 2)
+    outline, frame = distribution.opening.outline, opening_frame(distribution.opening)
+    opening = _with_extent(distribution.opening)
     if opening.is_flat or opening.sides != distribution.opening.sides:
         depth, cells, area = _flat_shares(opening, frame)
         resolutions = [each for each in _FLAT_RESOLUTIONS if len(cells) * each**2 <= MAX_BINS]
@@ -127,6 +124,19 @@ def bake_distribution(distribution: IntensityDistribution, colour: RGB = WHITE) 
     intensity = (shares * watts)[..., None] * np.array(colour)
     field = make_light_field(cells, intensity, depth, absolute=True, outline=outline)
     return light_field_asset(field, frame, distribution.name)
+
+
+def opening_frame(opening: Opening) -> LocalFrame:
+    """Frame of the asset of a photometric file with a luminous opening."""
+    half = np.array(_with_extent(opening).sides) / 2
+    return LocalFrame.of_box(-half, half)
+
+
+def _with_extent(opening: Opening) -> Opening:
+    """An opening, or a small cube where it has no extent."""
+    if max(opening.sides) < _MIN_EXTENT:
+        return Opening((POINT_SIZE, POINT_SIZE, POINT_SIZE))
+    return opening
 
 
 def _flat_shares(opening: Opening, frame: LocalFrame) -> tuple[int, Codes, Array]:

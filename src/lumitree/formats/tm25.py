@@ -347,7 +347,10 @@ def rays_spectrum(
         if kind == _ONE_TABLE and tables:
             return sampled_spectrum(*tables[0].T)
         if kind == _TABLES and tables and "table" in items:
-            return _mixture(tables, items)
+            index = _table_indices(tables, items)
+            spectra = np.array([_spectrum_of_a_watt(each) for each in tables])
+            power = _power(items, (spectra @ matching_functions()[1])[index])
+            return np.bincount(index, power, len(tables)) @ spectra
     except LumitreeError:
         return None
     return None
@@ -366,16 +369,6 @@ def _lines(
     parts = (lower, 1 - (place - lower)), (lower + 1, place - lower)
     binned = sum(np.bincount(at, power * part, size) for at, part in parts)
     return np.asarray(binned, np.float64)[:-1]
-
-
-def _mixture(
-    tables: list[NDArray[np.float64]], items: dict[str, NDArray[np.float64]]
-) -> NDArray[np.float64]:
-    """Rays with one of several tables each."""
-    index = _table_indices(tables, items)
-    spectra = np.array([_spectrum_of_a_watt(each) for each in tables])
-    power = _power(items, (spectra @ matching_functions()[1])[index])
-    return np.bincount(index, power, len(tables)) @ spectra
 
 
 def _table_indices(

@@ -265,7 +265,10 @@ def diagnose(scene: mi.Scene) -> list[str]:
         return []
     names = [repr(s.id()) if s.id() else f"an unnamed {s.class_name().lower()}" for s in shapes]
     crossings = trace_lines(shapes)
-    open_shapes = _open_shapes(crossings, len(shapes))
+    # A line enters open shapes more or less often than it leaves them.
+    key, index = np.unique(crossings.line * len(shapes) + crossings.shape, return_inverse=True)
+    balance = np.bincount(index, crossings.step, len(key))
+    open_shapes = np.unique(key[np.abs(balance) > 0.5] % len(shapes))
     closed = crossings.take(~np.isin(crossings.shape, open_shapes))
     messages = [
         f"{names[index]} is a dielectric, but not closed: lines that enter it never leave; close "
@@ -303,13 +306,6 @@ def _is_dielectric(shape: mi.Shape) -> bool:
 def _pair(names: list[str], pair: tuple[int, int]) -> str:
     first, second = (names[index] for index in pair)
     return f"parts of {first}" if pair[0] == pair[1] else f"{first} and {second}"
-
-
-def _open_shapes(crossings: Crossings, num_shapes: int) -> NDArray[np.int64]:
-    """Shapes that a line enters more or less often than it leaves."""
-    key, index = np.unique(crossings.line * num_shapes + crossings.shape, return_inverse=True)
-    balance = np.bincount(index, crossings.step, len(key))
-    return np.unique(key[np.abs(balance) > 0.5] % num_shapes)
 
 
 def _touching(crossings: Crossings) -> set[tuple[int, int]]:

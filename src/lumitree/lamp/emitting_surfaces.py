@@ -132,12 +132,12 @@ class EmittingSurfaces:
 
     def sample(self, sample: mi.Point2f, active: mi.Bool | bool = True) -> SurfacePoint:
         """Sample a point; `sample` is in the unit square."""
-        choice, place = _four_numbers(sample)
-        entry = dr.minimum(mi.UInt32(choice.x * mi.Float(self._count)), self._count - 1)
-        taken = choice.y < dr.gather(mi.Float, self._threshold, entry, active)
+        x, y, u, v = four_numbers(sample)
+        entry = dr.minimum(mi.UInt32(x * mi.Float(self._count)), self._count - 1)
+        taken = y < dr.gather(mi.Float, self._threshold, entry, active)
         entry = dr.select(taken, entry, dr.gather(mi.UInt32, self._alias, entry, active))
         density = dr.gather(mi.Float, self._density, entry, active)
-        si, index = self._point(entry, place, active & (density > 0))
+        si, index = self._point(entry, mi.Point2f(u, v), active & (density > 0))
         emitter = dr.gather(mi.EmitterPtr, self._emitters, index, active)
         return SurfacePoint(si, dr.select(si.is_valid(), density, 0), index, emitter)
 
@@ -241,13 +241,13 @@ def _largest_around(mean: NDArray[np.float64], side: int) -> NDArray[np.float64]
     return maximum_filter(mean.reshape(-1, side, side), (1, 3, 3)).ravel()
 
 
-def _four_numbers(sample: mi.Point2f) -> tuple[mi.Point2f, mi.Point2f]:
-    """Numbers in [0, 1) from all bits of two such numbers."""
+def four_numbers(sample: mi.Point2f) -> tuple[mi.Float, mi.Float, mi.Float, mi.Float]:
+    """Numbers in [0, 1) from all bits of a sample in the unit square."""
     x, y = (dr.reinterpret_array(mi.UInt32, each) for each in (sample.x, sample.y))
     first = mi.sample_tea_32(x, y)
     second = mi.sample_tea_32(first[1], first[0])
-    x, y, z, w = (mi.Float(word >> 8) * 2.0**-24 for word in (*first, *second))
-    return mi.Point2f(x, y), mi.Point2f(z, w)
+    a, b, c, d = (mi.Float(word >> 8) * 2.0**-24 for word in (*first, *second))
+    return a, b, c, d
 
 
 def _areas(shape: mi.Shape) -> NDArray[np.float64]:

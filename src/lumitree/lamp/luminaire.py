@@ -17,6 +17,7 @@ from lumitree.core.backend import in_turn, load_mitsuba
 from lumitree.core.executor import packed, unpacked
 from lumitree.core.frames import LocalFrame, float32_step, is_far
 from lumitree.core.mitsuba_meshes import mesh_vertices
+from lumitree.core.results import Json
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.lamp.builtin import BUILTIN
 from lumitree.lamp.media import any_scatters, media_of
@@ -122,7 +123,7 @@ LuminaireLike = str | os.PathLike[str] | LuminaireSource | Luminaire | Mapping[s
 """Types that are accepted as a luminaire, and `mi.Scene`, whose class depends on the variant."""
 
 
-def builtin_luminaires() -> dict[str, dict[str, Any]]:
+def builtin_luminaires() -> dict[str, Json]:
     """Describe the built-in luminaires.
 
     Returns:

@@ -49,6 +49,7 @@ from __future__ import annotations
 import functools
 import operator
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import drjit as dr
 import mitsuba as mi
@@ -133,14 +134,9 @@ def _tabulated(values: Callable[[float, Floats], tuple[Floats, Floats]]) -> Floa
     """[SIZE, SIZE, 2] values for an alpha and cosines [SIZE, 1]."""
     cosines = np.maximum(np.linspace(0, 1, SIZE) ** 2, _MIN_COSINE)[:, None]
     alphas = np.maximum(np.linspace(0, 1, SIZE) ** 2, MIN_ALPHA).tolist()
-    return np.stack([np.stack(values(alpha, cosines), axis=1) for alpha in alphas])
-
-
-@functools.cache
-def _unit_disk() -> tuple[Floats, Floats]:
-    """Radius and azimuth of points that fill the unit disk evenly, on a Fibonacci spiral."""
-    index = np.arange(_SAMPLES, dtype=np.float64)
-    return np.sqrt((index + 0.5) / _SAMPLES), 2 * np.pi * (index * 0.6180339887498949 % 1)
+    with ThreadPoolExecutor(dr.thread_count()) as pool:
+        rows = pool.map(lambda alpha: np.stack(values(alpha, cosines), axis=1), alphas)
+        return np.stack(list(rows))
 
 
 def _visible_normals(alpha: float, cosine: Floats) -> tuple[Floats, Floats]:
@@ -153,7 +149,12 @@ def _visible_normals(alpha: float, cosine: Floats) -> tuple[Floats, Floats]:
     """
     sine = np.sqrt(1 - cosine**2)
     x, z = np.array([alpha * sine, cosine]) / np.hypot(alpha * sine, cosine)
-    radius, azimuth = _unit_disk()
+    # Points that fill the unit disk evenly, on a Fibonacci spiral.
+    index = np.arange(_SAMPLES, dtype=np.float64)
+    radius, azimuth = (
+        np.sqrt((index + 0.5) / _SAMPLES),
+        2 * np.pi * (index * 0.6180339887498949 % 1),
+    )
     first, second = radius * np.cos(azimuth), radius * np.sin(azimuth)
     mixed = 0.5 * (1 + z)
     second = (1 - mixed) * np.sqrt(1 - first**2) + mixed * second
@@ -535,19 +536,15 @@ def _bsdf_class() -> type:
             self.has_back = self.thin or self.transmits
             self.lookup = reflection_lookup(mi.variant())
             self.glass = glass_lookup(mi.variant(), ior) if clear and not self.thin else None
-            self._set_flags()
-
-        def _set_flags(self) -> None:
             flags = mi.BSDFFlags
-            kinds = [flags.DiffuseReflection, flags.GlossyReflection]
+            self.kinds = [flags.DiffuseReflection, flags.GlossyReflection]
             if self.transmits:
-                kinds += [flags.DiffuseTransmission, flags.GlossyTransmission]
-            self.kinds = kinds
+                self.kinds += [flags.DiffuseTransmission, flags.GlossyTransmission]
             sides = flags.FrontSide | (flags.BackSide if self.has_back else 0)
             # Refraction scales radiance.
             scaled = [0, 0] + [0 if self.glass is None else flags.NonSymmetric] * 2
             self.m_components = [
-                kind | sides | scale for kind, scale in zip(kinds, scaled, strict=False)
+                kind | sides | scale for kind, scale in zip(self.kinds, scaled, strict=False)
             ]
             self.m_flags = functools.reduce(operator.or_, self.m_components)
 

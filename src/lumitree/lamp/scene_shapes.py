@@ -136,7 +136,7 @@ def _children(parent: mi.Object) -> list[Any]:
     children = []
 
     class Children(mi.TraversalCallback):
-        def put(self, name: str, value: Any, *_: Any) -> None:
+        def put(self, name: str, value: object, *_: object) -> None:
             if isinstance(value, mi.Object):
                 children.append(value)
 

@@ -38,7 +38,7 @@ from lumitree.asset.materials import (
 from lumitree.core.backend import load_mitsuba, second_thread
 from lumitree.core.frames import rows_of
 from lumitree.core.mitsuba_meshes import VERTEX_COLOUR, is_flipped, mesh_arrays
-from lumitree.core.reading import naming
+from lumitree.core.reading import Arrays, naming
 from lumitree.errors import LumitreeError, shown
 from lumitree.lamp.luminaire import Luminaire
 from lumitree.lamp.media import stored_medium
@@ -294,7 +294,7 @@ def _joined(
                 **vars(properties),
             )
         )
-    joined: dict[str, NDArray[Any]] = {
+    joined: Arrays = {
         name: np.concatenate([np.zeros((0, width), dtype), *arrays[name]])
         for name, (dtype, width) in ARRAYS.items()
     }

@@ -266,7 +266,8 @@ def design(
     from lumitree.measure.aiming import Aim
     from lumitree.rendering.scene import load_without_camera, scene_title
 
-    metres, title = metres_of(unit), scene_title(scene)
+    metres_of(unit)
+    title = scene_title(scene)
     seeds = iter(
         SeedStream(Purpose.DESIGN, draw=1).seed(seed, n) & MAX_SEED for n in itertools.count()
     )
@@ -278,7 +279,7 @@ def design(
             box = _region(region, room, receivers, lamps, count)
 
             def lit(lamps: Sequence[Placement]) -> LitScene:
-                return LitScene(room, title, lamps, receivers, metres, by_lamp=True)
+                return LitScene(room, title, lamps, receivers, unit, by_lamp=True)
 
             if count:
 

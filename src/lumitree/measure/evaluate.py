@@ -80,7 +80,7 @@ class EvaluateResult(ImageResult):
     metrics: dict[str, float]
     max_radiance: float | None
     spp: int | None
-    views: list[dict[str, Any]]
+    views: list[Json]
     asset: Json
     sheet: Path | None
     irradiance: Json | None = None
@@ -101,7 +101,7 @@ class Evaluation:
 
     max_radiance: float
     metrics: dict[str, float]
-    views: list[dict[str, Any]]
+    views: list[Json]
     rows: "list[SheetRow]"
 
 

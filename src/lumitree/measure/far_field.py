@@ -17,10 +17,11 @@ from numpy.typing import ArrayLike, NDArray
 from lumitree.asset.asset import Asset, EmittedSpectrum
 from lumitree.core.frames import LocalFrame, similarity
 from lumitree.core.octahedral import interpolated
-from lumitree.core.photometry import luminance
+from lumitree.core.photometry import RGB, luminance
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.errors import LumitreeError
+from lumitree.formats.light_field import bake_distribution, opening_frame
 from lumitree.formats.opening import Opening, opening_around
 from lumitree.formats.tm25 import Rays
 from lumitree.formats.type_c import (
@@ -150,6 +151,33 @@ def asset_source(asset: Asset, file: IntensityDistribution | None = None) -> Sou
         exact=exact,
         opening=opening,
     )
+
+
+def file_source(file: IntensityDistribution, colour: RGB) -> Source:
+    """Light of a photometric file; its asset is made only if rays are drawn.
+
+    Args:
+        file: not of a GLDF file, whose light is not one distribution.
+        colour: linear RGB of its light, of luminance 1.
+    """
+    frame = opening_frame(file.opening)
+    exact = file_light(file, frame, colour)
+    return Source(file.name, frame, _FileRays(file, colour), exact=exact, opening=file.opening)
+
+
+class _FileRays:
+    """Rays of the asset of a photometric file; `EmittedRays`."""
+
+    def __init__(self, file: IntensityDistribution, colour: RGB) -> None:
+        self._file, self._colour = file, colour
+
+    @functools.cached_property
+    def _rays(self) -> AssetRays:
+        return AssetRays(bake_distribution(self._file, self._colour))
+
+    def draw(self, count: int, seed: int) -> RayBatch:
+        """As `EmittedRays.draw`."""
+        return self._rays.draw(count, seed)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

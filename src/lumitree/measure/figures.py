@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
+from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
@@ -31,6 +32,7 @@ from lumitree.measure.photometric_figures import (
     NEAR_FIELD_HEADER,
     PLANES,
     UGR_HEADER,
+    Estimate,
     PhotometricData,
     figure_rows,
     half_widths,
@@ -95,7 +97,7 @@ _NOTES = (
 _FAR_NOTE = (
     "Far field: distance from the centre of the luminous opening from which on the illuminance is "
     "within 5 % of intensity / distance², in a cone of 5 degrees. At shorter distances a "
-    "photometric file is wrong by more; use the asset instead."
+    "photometric file is wrong by more; use the asset instead. Too few rays: trace more (--paths)."
 )
 _COLOUR_NOTE = (
     "Colour rendering is computed from the spectrum of the bare emitters. Glass, shades and "
@@ -239,6 +241,7 @@ class Plan:
         receivers: its points.
         lux, error, direct: [N] illuminance, its standard error, and its direct part, lx.
         floor: the room at a plane; None for other areas.
+        unit: of coordinates, such as "m".
         largest: of the colours, lx; default: the largest illuminance of the area.
         by_lamp: illuminance [N] by each lamp that lights the area, lx, by name; empty if it is
             not estimated.
@@ -250,6 +253,7 @@ class Plan:
     error: NDArray[np.float64]
     direct: NDArray[np.float64]
     floor: FloorPlan | None
+    unit: str
     largest: float | None = None
     by_lamp: Mapping[str, NDArray[np.float64]] = dataclasses.field(default_factory=dict)
 
@@ -296,7 +300,7 @@ def plan_pdf(plans: Sequence[Plan], direct_only: bool) -> bytes:
     return pdf_file(pages)
 
 
-def _draw_plan(figure: Figure, axes: Any, plan: Plan, direct_only: bool) -> None:
+def _draw_plan(figure: Figure, axes: Axes, plan: Plan, direct_only: bool) -> None:
     place, area, plane = plan.receivers.flat(), plan.area, plan.receivers.plane
     kind = "direct illuminance" if direct_only else "illuminance"
     figures = f"mean {area.mean:.4g} lx, U0 {area.uniformity:.2f}"
@@ -305,7 +309,7 @@ def _draw_plan(figure: Figure, axes: Any, plan: Plan, direct_only: bool) -> None
     axes.set_aspect("equal")
     for axis, along in zip((axes.xaxis, axes.yaxis), plan.receivers.axes, strict=True):
         name, sign = _axis_name(along)
-        axis.set_label_text(name)
+        axis.set_label_text(f"{name}, {plan.unit}")
         axis.set_major_formatter(lambda value, _, sign=sign: f"{sign * value + 0.0:g}")
     largest = area.largest if plan.largest is None else plan.largest
     levels = MaxNLocator(10).tick_values(0, largest if largest > 0 else 1.0)
@@ -326,7 +330,8 @@ def _draw_plan(figure: Figure, axes: Any, plan: Plan, direct_only: bool) -> None
                 # Legible on the colour of the plan.
                 colour = "#111111" if value > 0.6 * largest else "#e7e5e4"
                 axes.text(u, v, f"{value:.3g}", color=colour, **style)
-    figure.colorbar(colours, ax=axes, shrink=0.8, label="lx")
+    label = "illuminance, lx; isolux lines at the numbers"
+    figure.colorbar(colours, ax=axes, shrink=0.8, label=label, ticks=levels)
 
 
 def _draw_lux(axes: Any, receivers: Receivers, lux: NDArray[np.float64], largest: float) -> Any:
@@ -390,7 +395,7 @@ def _plan_rows(plan: Plan) -> list[tuple[str, str]]:
     mean = float(direct[known].mean()) if known.any() else np.nan
     return [
         ("points", f"{area.count:,}" + (f", {area.enclosed:,} in solids" if area.enclosed else "")),
-        ("mean", f"{area.mean:.4g} lx ± {area.mean_error:.2g}"),
+        ("mean", f"{Estimate(area.mean, area.mean_error)} lx"),
         ("smallest", f"{area.smallest:.4g} lx"),
         ("largest", f"{area.largest:.4g} lx"),
         ("uniformity U0", f"{area.uniformity:.3f}"),
@@ -490,7 +495,7 @@ def _polar(axes: Any, data: PhotometricData) -> None:
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), ncols=2, fontsize=8, frameon=False)
 
 
-def _cone(axes: Any, step: float, intensity: NDArray[np.float64]) -> None:
+def _cone(axes: Axes, step: float, intensity: NDArray[np.float64]) -> None:
     """Cone around the axis with the more light, in which the intensity is at least half of its."""
     down, up = intensity[:, 0].mean(), intensity[:, -1].mean()
     is_up = up > down
@@ -520,7 +525,7 @@ def _cone(axes: Any, step: float, intensity: NDArray[np.float64]) -> None:
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.08), fontsize=8, frameon=False)
 
 
-def _isocandela(figure: Figure, axes: Any, data: PhotometricData) -> None:
+def _isocandela(figure: Figure, axes: Axes, data: PhotometricData) -> None:
     """Lines of equal intensity over C and γ."""
     distribution = data.distribution
     c = np.append(distribution.c, 360)

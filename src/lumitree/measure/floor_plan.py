@@ -29,6 +29,7 @@ _PIXELS, _AROUND = 600, 0.25
 _STEP = 3
 # Corners of an outline that is round.
 _ROUND = 48
+_TOWARDS = np.exp(2j * np.pi * np.arange(128) / 128).view(np.float64).reshape(-1, 2)
 _CORNERS = np.stack(np.meshgrid(*3 * [[-1.0, 1.0]]), axis=-1).reshape(-1, 3)
 
 
@@ -95,10 +96,9 @@ def _outline(lamp: PlacedLuminaire, axes: NDArray[np.float64]) -> NDArray[np.flo
         matrix, light = lamp.scene_from_box, None if lamp.asset is None else lamp.asset.light_field
         points = _CORNERS if light is None else opening_points(light.outline)
     flat = (points @ matrix[:3, :3].T + matrix[:3, 3]) @ axes.T
-    # Joggled: a flat lamp that is seen from its edge has no area.
-    from scipy.spatial import ConvexHull
-
-    return flat[ConvexHull(flat, qhull_options="QJ").vertices]
+    # The farthest points in directions all around, in their order.
+    farthest = [int(np.argmax(flat @ each)) for each in _TOWARDS]
+    return flat[list(dict.fromkeys(farthest))]
 
 
 def opening_points(outline: Outline | None) -> NDArray[np.float64]:

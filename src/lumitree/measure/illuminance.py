@@ -16,7 +16,7 @@ from lumitree.core.arguments import check_items, check_range, metres_of
 from lumitree.core.backend import in_turn, load_rgb
 from lumitree.core.files import FilePath, check_writable, write_bytes, write_json
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
-from lumitree.core.results import Result, Stopwatch, plain
+from lumitree.core.results import Json, Result, Stopwatch, plain
 from lumitree.core.seeds import check_seed
 from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown, shown_names
 from lumitree.measure.receivers import (
@@ -65,6 +65,7 @@ class IlluminanceResult(Result):
         samples: [N] samples of each receiver.
         by_lamp: the parts of each lamp, whose sums are `direct` and `total`; None without the
             option `by_lamp`.
+        unit: of lengths of the scene, as it was given.
     """
 
     areas: list[AreaFigures]
@@ -79,6 +80,7 @@ class IlluminanceResult(Result):
     by_lamp: LampIlluminance | None = dataclasses.field(repr=False)
     receivers: list[Receivers] = dataclasses.field(repr=False)
     floors: "list[FloorPlan | None]" = dataclasses.field(repr=False)
+    unit: float | str
 
     @explained
     def save(self, path: FilePath) -> None:
@@ -103,7 +105,7 @@ class IlluminanceResult(Result):
             write = plan_png if kind == ".png" else plan_pdf
             write_bytes(path, write(self.plans(), self.direct_only))
 
-    def table(self) -> list[dict[str, Any]]:
+    def table(self) -> list[Json]:
         """A dictionary for each receiver, as the files have it."""
         names = [area.name for area in self.areas for _ in range(area.count)]
         light = (self.direct, self.direct_error, self.total, self.total_error)
@@ -142,6 +144,7 @@ class IlluminanceResult(Result):
                 receivers,
                 *(each[area.part] for each in arrays),
                 floor=floor,
+                unit=self.unit if isinstance(self.unit, str) else f"{self.unit:g} m",
                 by_lamp={} if self.by_lamp is None else self.by_lamp.lit(area),
             )
             for area, receivers, floor in zip(self.areas, self.receivers, self.floors, strict=True)
@@ -218,7 +221,7 @@ def illuminance(
     placements = [lamp for placement in placements for lamp in placement.each()]
     check_errors(error, time)
     check_seed(seed)
-    metres = metres_of(unit)
+    metres_of(unit)
     load_rgb(variant)
     from lumitree.rendering.scene import load_without_camera, scene_title
 
@@ -229,7 +232,7 @@ def illuminance(
             room, shapes = load_without_camera(scene)
             chosen = [chosen_shapes(each, room, shapes, title) for each in surfaces]
             areas = collect(planes, surfaces, chosen, points, normals, seed)
-            lit = LitScene(room, title, placements, areas, metres, by_lamp)
+            lit = LitScene(room, title, placements, areas, unit, by_lamp)
         with watch.stage("estimate"):
             result = lit.estimate(error, time, seed, reflected=not direct)
     for area in result.areas:
@@ -258,7 +261,7 @@ class LitScene:
         title: of the scene, for messages.
         placements: the lamps, each by itself.
         areas: the receivers.
-        metres: in a unit of length of the scene.
+        unit: of length of the scene.
         by_lamp: whether the part of each lamp is estimated, too.
     """
 
@@ -268,13 +271,13 @@ class LitScene:
         title: str,
         placements: Sequence[Placement],
         areas: list[Receivers],
-        metres: float,
+        unit: float | str,
         by_lamp: bool,
     ) -> None:
         from lumitree.rendering.scene import open_placements, place_luminaires, placed_ids
 
-        self._room, self._title, self._areas = room, title, areas
-        self.placed = open_placements(placements, metres)
+        self._room, self._title, self._areas, self._unit = room, title, areas, unit
+        self.placed = open_placements(placements, metres_of(unit))
         _warn_of_glass(self.placed)
         self._scene = place_luminaires(room, self.placed, appearance="geometry")
         self._points = np.concatenate([area.points for area in areas])
@@ -334,6 +337,7 @@ class LitScene:
         )
         planes = [area.plane if plans else None for area in self._areas]
         return IlluminanceResult(
+            unit=self._unit,
             areas=_figures(self._areas, found.total, found.total_error),
             direct_only=not reflected,
             position=self._points,

@@ -38,6 +38,7 @@ DIRECTIONS = (
     ("up", 0.0, 180.0),
 )
 _COSINE_OF_CONE = np.cos(np.deg2rad(5.0))
+_SINE_OF_CONE = np.sin(np.deg2rad(5.0))
 _SOLID_ANGLE = 2 * np.pi * (1 - _COSINE_OF_CONE)
 # A difference that is less certain is not reported.
 MAX_ERROR = TOLERANCE / 2
@@ -101,13 +102,19 @@ class NearFieldTest:
         """
         along = (origin * direction).sum(axis=1)
         beyond = along**2 - (origin**2).sum(axis=1)
+        abreast = np.sqrt(np.maximum(-beyond, 0))
+        nearest = (self._axes @ direction.T).max(axis=0)
         sums = [self._in_cones(direction, lumens)]
         for radius in DISTANCES * self._size:
             half_chord = np.sqrt(np.maximum(beyond + radius**2, 0))
+            # A ray leaves the sphere in its own direction from the centre but for an angle α, with
+            # sin α = abreast / radius. Only rays within α + 5° of an axis may be in its cone.
+            least = (_COSINE_OF_CONE * half_chord - _SINE_OF_CONE * abreast) / radius
             distance = half_chord - along
-            point = origin + distance[:, None] * direction
             crosses = (half_chord > 0) & (distance > 0)
-            sums.append(self._in_cones(point / radius, np.where(crosses, lumens, 0.0)))
+            used = np.flatnonzero(crosses & (nearest > least - 1e-5))
+            point = origin[used] + distance[used, None] * direction[used]
+            sums.append(self._in_cones(point / radius, lumens[used]))
         self._batches[batch] += sums
 
     def limits(self) -> list[NearFieldLimit]:

@@ -33,6 +33,7 @@ from lumitree.core.photometry import (
     xyz_of_spectrum,
     xyz_temperature,
 )
+from lumitree.core.results import digits_text
 from lumitree.formats.ies import SIMULATED
 from lumitree.formats.ldt import ldt_of
 from lumitree.formats.opening import Opening
@@ -83,10 +84,12 @@ class Estimate:
     error: float
 
     def __str__(self) -> str:
-        """Value ± standard error, rounded to two significant digits of the error."""
-        # Rounding alone may cause a tiny error.
-        if not (math.isfinite(self.error) and self.error > 1e-9 * abs(self.value)):
-            return f"{float(f'{self.value:.5g}'):,.12g}"
+        """Value ± standard error, rounded to two significant digits of the error.
+
+        Without the error where it is not known, or four digits of the value do not show it.
+        """
+        if not (math.isfinite(self.error) and self.error > 5e-5 * abs(self.value)):
+            return digits_text(self.value)
         digits = 1 - math.floor(math.log10(self.error))
         value, error = round(self.value, digits), round(self.error, digits)
         shown = max(0, digits)

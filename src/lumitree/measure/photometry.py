@@ -20,7 +20,13 @@ from lumitree.core.results import Result, Stopwatch
 from lumitree.core.seeds import check_seed
 from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.formats.type_c import EDGE, MIN_STEP, Grid, IntensityDistribution
-from lumitree.lamp.source import RAY_SUFFIXES, WRITTEN_SUFFIXES, LuminaireSource, source_kind
+from lumitree.lamp.source import (
+    RAY_SUFFIXES,
+    WRITTEN_SUFFIXES,
+    LuminaireSource,
+    refuse_options,
+    source_kind,
+)
 from lumitree.measure.near_field import NearFieldLimit
 from lumitree.measure.photometric_figures import PhotometricData, PhotometricFigures, evaluated
 from lumitree.rendering.asset_cache import asset_of, refuse_frame
@@ -159,9 +165,15 @@ def photometry(
     metres = metres_of(unit)
     load_rgb(variant)
     from lumitree.formats.ies import SIMULATED, UNDEFINED
-    from lumitree.formats.photometric_file import read_again
+    from lumitree.formats.photometric_file import read_photometry
     from lumitree.lamp.luminaire import load_luminaire
-    from lumitree.measure.far_field import asset_source, luminaire_source, measure, oriented
+    from lumitree.measure.far_field import (
+        asset_source,
+        file_source,
+        luminaire_source,
+        measure,
+        oriented,
+    )
 
     if step is not None:
         Grid(step)
@@ -169,12 +181,17 @@ def photometry(
     wanted = file_rays if any(_suffix(path) in RAY_SUFFIXES for path in outputs) else 0
     watch = Stopwatch()
     with reporting(progress), watch.stage("measure"):
-        if (asset := asset_of(source)) is not None:
-            refuse_frame(source, asset, metres, up)
-            file = read_again(_path(source)) if is_file else None
-            measured = asset_source(asset, file)
+        asset = file = None
+        # The intensities of a file are known: its asset, which is made of them, adds nothing.
+        if is_file and (found := read_photometry(_path(source))) is not None:
+            file, measured = found[0], file_source(*found)
+        elif (asset := asset_of(source)) is not None:
+            measured = asset_source(asset)
         else:
-            file, measured = None, luminaire_source(load_luminaire(cast(Any, source)))
+            measured = luminaire_source(load_luminaire(source))
+        of_file = file is not None or (asset is not None and asset.is_photometric)
+        if of_file:
+            refuse_frame(source, metres, up)
         if wanted:
             _warn_far(measured)
         measured = oriented(measured, metres, up)
@@ -184,7 +201,6 @@ def photometry(
         measurement = measure(measured, paths, step=step, kept_rays=wanted, seed=seed)
         # A converted file is no simulation, and no measurement either.
         generation = UNDEFINED if is_file else SIMULATED
-        of_file = asset is not None and asset.is_photometric
         data = evaluated(measurement, file, generation, of_file=of_file)
         if file is not None and step is None:
             _warn_fine(file, data.step)
@@ -214,7 +230,10 @@ def photometry(
 
 def _path(source: object) -> str:
     """Path of a photometric file."""
-    return source.name if isinstance(source, LuminaireSource) else os.fspath(cast(Any, source))
+    if isinstance(source, LuminaireSource):
+        refuse_options(source, "an asset or a photometric file")
+        return source.name
+    return os.fspath(cast(Any, source))
 
 
 def _check_outputs(outputs: Sequence[FilePath]) -> None:

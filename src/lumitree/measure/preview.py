@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from lumitree.trace.cameras import ViewImages
 
 # Numbers of light paths of a preview, for the flux and for the flux by number of bounces.
-FLUX_PATHS = BOUNCE_PATHS = 1 << 20
+FLUX_PATHS, BOUNCE_PATHS = 1 << 18, 1 << 20
 # Pixels per side and paths per pixel of the photograph, and of each view of a contact sheet: equal
 # numbers of paths.
 _PHOTOGRAPH, _VIEW = (512, 16), (256, 64)
@@ -188,7 +188,7 @@ def preview(
 
     with reporting(progress):
         with watch.stage("load"):
-            lamp = load_luminaire(cast(Any, luminaire))
+            lamp = load_luminaire(luminaire)
         with watch.stage("diagnose"):
             faults = warn_of_faults(lamp)
         with watch.stage("flux"):

@@ -109,9 +109,9 @@ def load(path: FilePath) -> Asset:
     return open_asset(path)
 
 
-def refuse_frame(source: object, asset: Asset, metres: float, up: str) -> None:
+def refuse_frame(source: object, metres: float, up: str) -> None:
     """Refuse a unit or an upward axis of the light of a photometric file, which states its own."""
-    if asset.is_photometric and (metres, up) != (1, "y"):
+    if (metres, up) != (1, "y"):
         raise LumitreeError(
             f"unit and up: not for a photometric file such as {shown(source, 300)}, which states "
             "its unit; leave them out"

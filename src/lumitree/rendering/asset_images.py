@@ -73,7 +73,7 @@ def shown_images(
     return images
 
 
-def asset_scene(asset: Asset) -> dict[str, Any]:
+def asset_scene(asset: Asset) -> dict[str, object]:
     """Members of a scene, for `mi.load_dict`: the geometry of an asset, with nothing around it.
 
     No receiver gets the asset's light field there: one cell stands for it, whose tables take no
@@ -104,14 +104,14 @@ class LampCamera:
 
     def __init__(
         self,
-        scene: Mapping[str, Any],
+        scene: Mapping[str, object],
         integrator: mi.Integrator,
         half_width: float,
         resolution: int,
         scene_from_local: NDArray[np.float64] = _SAME,
     ) -> None:
         self._half_width, self._scene_from_local = half_width, scene_from_local
-        film: dict[str, Any] = {"type": "hdrfilm", "width": resolution, "height": resolution}
+        film: dict[str, object] = {"type": "hdrfilm", "width": resolution, "height": resolution}
         film |= {"pixel_format": "rgba", "rfilter": {"type": "box"}}
         near = _NEAR * similarity_scale(scene_from_local)
         sensor = {"type": "orthographic", "film": film, "near_clip": near}
@@ -206,7 +206,7 @@ def vertex_radiance(
     faces: NDArray[np.uint32],
     samples_per_face: int,
     name: str = "surfaces",
-    lights: Mapping[str, Any] | None = None,
+    lights: Mapping[str, object] | None = None,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Mean radiance at the vertices of surfaces, over all directions of the front's hemisphere.
 

@@ -25,7 +25,7 @@ def demo_room(width: int = 320, *, ball_in_box: bool = False) -> Any:
     return load_ordered(demo_room_description(width, ball_in_box=ball_in_box))
 
 
-def demo_room_description(width: int = 320, *, ball_in_box: bool = False) -> dict[str, Any]:
+def demo_room_description(width: int = 320, *, ball_in_box: bool = False) -> dict[str, object]:
     """Room of 4 x 2.4 x 4 metres, y up, with a lit window behind the lamp (an area light).
 
     Through the gaps of the lamp the window shows; its light throws the lamp's shadow. With
@@ -44,7 +44,7 @@ def demo_room_description(width: int = 320, *, ball_in_box: bool = False) -> dic
         "right": (wall([2, 1.2, 0], ([0, 1, 0], -90), [2, 1.2]), _matte(0.55, 0.6, 0.65)),
         "near": (wall([0, 1.2, 2], ([0, 1, 0], 180), [2, 1.2]), _matte(0.6, 0.6, 0.6)),
     }
-    scene: dict[str, Any] = {
+    scene: dict[str, object] = {
         name: {"type": "rectangle", "to_world": place, "bsdf": bsdf}
         for name, (place, bsdf) in walls.items()
     }
@@ -74,7 +74,7 @@ def demo_room_description(width: int = 320, *, ball_in_box: bool = False) -> dic
     return {"type": "scene", **scene}
 
 
-def _furniture() -> dict[str, Any]:
+def _furniture() -> dict[str, object]:
     return {
         "table": {
             "type": "cube",
@@ -104,7 +104,7 @@ def _furniture() -> dict[str, Any]:
     }
 
 
-def _hanging_ball() -> dict[str, Any]:
+def _hanging_ball() -> dict[str, object]:
     x, y, z = BALL_CENTRE
     return {
         "ball": {
@@ -126,6 +126,6 @@ def _hanging_ball() -> dict[str, Any]:
     }
 
 
-def _matte(*rgb: float) -> dict[str, Any]:
+def _matte(*rgb: float) -> dict[str, object]:
     reflectance = {"type": "rgb", "value": list(rgb)}
     return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": reflectance}}

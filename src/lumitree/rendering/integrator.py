@@ -32,7 +32,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -42,7 +41,7 @@ from lumitree.lamp.media import absorption, media
 from lumitree.rendering.emitter import EmitterSample, lamp_of
 from lumitree.rendering.geometry import CROSSED_STRAIGHT, GeometryEmitter
 from lumitree.rendering.lamps import EmitterSelection, LampChoices, LampKinds, Selected
-from lumitree.rendering.layers import Layers, Unrecorded
+from lumitree.rendering.layers import Layers, Record, Unrecorded
 from lumitree.rendering.null_bsdf import without_proxies
 from lumitree.rendering.proxies import MAX_CROSSINGS, NONE, Divided, DividedScene, is_instance
 from lumitree.rendering.sampling import mis_weight
@@ -65,7 +64,7 @@ class PathState:
 
     L: mi.Spectrum                      # Radiance accumulator
     valid_ray: mi.Bool                 # Whether the camera ray met something
-    record: dict[str, Any]             # Layers beside the image (`Layers`)
+    record: Record             # Layers beside the image (`Layers`)
 
     β: mi.Spectrum                      # Path throughput weight
     η: mi.Float                        # Product of relative indices of refraction
@@ -249,7 +248,10 @@ class PathScene:
         self.extent = scene_extent(scene)
         self.bsdf_ctx = mi.BSDFContext()
         # These select the code of a kernel: no scene pays for features that it does not have.
-        self.has_null_surfaces = _has_null_surfaces(divided.surfaces)
+        self.has_null_surfaces = any(
+            is_instance(shape) or mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Null)
+            for shape in divided.surfaces.shapes()
+        )
         self.has_media = bool(media)
         self.has_scattering = any(absorption(medium) is None for medium in media)
         self.shows_geometry = any(
@@ -262,14 +264,6 @@ class PathScene:
     def emitter(self, index: mi.UInt32, active: mi.Bool) -> mi.EmitterPtr:
         """The emitter of an index in the scene."""
         return dr.gather(mi.EmitterPtr, self.whole.emitters_dr(), index, active)
-
-
-def _has_null_surfaces(scene: mi.Scene) -> bool:
-    """Whether light may pass some shape of the scene without being bent."""
-    for shape in scene.shapes():
-        if is_instance(shape) or mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Null):
-            return True
-    return False
 
 
 def lamps_alone(params) -> bool:

@@ -38,6 +38,8 @@ _SEEN = ("seen.R", "seen.G", "seen.B", "seen.square")
 _MAX_RADIANCE = 1e15
 # Standard deviation of the window in which filtered self-emission keeps its mean, pixels.
 _WINDOW = 8.0
+# Dr.Jit variables of the paths, by name: what `Layers` record.
+Record = dict[str, Any]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,12 +83,12 @@ class Unrecorded:
     def channel_names(self) -> list[str]:
         return []
 
-    def start(self) -> dict[str, Any]:
+    def start(self) -> Record:
         return {}
 
     def add_light(
         self,
-        record: dict[str, Any],
+        record: Record,
         emitter: mi.EmitterPtr,
         radiance: mi.Spectrum,
         seen: mi.Bool,
@@ -96,11 +98,11 @@ class Unrecorded:
         pass
 
     def add_surface(
-        self, record: dict[str, Any], si: mi.SurfaceInteraction3f, β: mi.Spectrum, active: mi.Bool
+        self, record: Record, si: mi.SurfaceInteraction3f, β: mi.Spectrum, active: mi.Bool
     ) -> None:
         pass
 
-    def channels(self, record: dict[str, Any]) -> list[mi.Float]:
+    def channels(self, record: Record) -> list[mi.Float]:
         return []
 
 
@@ -110,12 +112,12 @@ class Seen(Unrecorded):
     def channel_names(self) -> list[str]:
         return list(_SEEN)
 
-    def start(self) -> dict[str, Any]:
+    def start(self) -> Record:
         return {"seen": [mi.Color3f(0)]}
 
     def add_light(
         self,
-        record: dict[str, Any],
+        record: Record,
         emitter: mi.EmitterPtr,
         radiance: mi.Spectrum,
         seen: mi.Bool,
@@ -124,7 +126,7 @@ class Seen(Unrecorded):
     ) -> None:
         record["seen"][0] += radiance & (active & seen)
 
-    def channels(self, record: dict[str, Any]) -> list[mi.Float]:
+    def channels(self, record: Record) -> list[mi.Float]:
         return [*record["seen"][0], *_squares(record)]
 
     def highlights(self, channels: NDArray[np.float32]) -> Highlights:
@@ -132,7 +134,7 @@ class Seen(Unrecorded):
         return Highlights(channels[..., :3], channels[..., 3])
 
 
-def _squares(record: dict[str, Any]) -> list[mi.Float]:
+def _squares(record: Record) -> list[mi.Float]:
     """As `Recorded.squares`, of paths."""
     greys = [dr.minimum(dr.mean(colour), _MAX_RADIANCE) for colour in record["seen"]]
     whole = dr.minimum(sum(greys, mi.Float(0)), _MAX_RADIANCE)
@@ -192,7 +194,7 @@ class PathSums(Unrecorded):
 
     def add_light(
         self,
-        record: dict[str, Any],
+        record: Record,
         emitter: mi.EmitterPtr,
         radiance: mi.Spectrum,
         seen: mi.Bool,
@@ -223,7 +225,7 @@ class Layers(Seen):
         buffers = [f"{buffer}.{c}" for buffer in BUFFERS for c in _CHANNELS[buffer]]
         return [*light, *buffers, *(f"seen{g}.square" for g in range(self.groups))]
 
-    def start(self) -> dict[str, Any]:
+    def start(self) -> Record:
         """Buffers of paths at their start."""
         return {
             **{kind: [mi.Color3f(0) for _ in range(self.groups)] for kind in KINDS},
@@ -234,7 +236,7 @@ class Layers(Seen):
 
     def add_light(
         self,
-        record: dict[str, Any],
+        record: Record,
         emitter: mi.EmitterPtr,
         radiance: mi.Spectrum,
         seen: mi.Bool,
@@ -256,7 +258,7 @@ class Layers(Seen):
                 record[kind][index] += radiance & (active & mask & (group == index))
 
     def add_surface(
-        self, record: dict[str, Any], si: mi.SurfaceInteraction3f, β: mi.Spectrum, active: mi.Bool
+        self, record: Record, si: mi.SurfaceInteraction3f, β: mi.Spectrum, active: mi.Bool
     ) -> None:
         """Record the first surface of each path that is not specular."""
         first = active & ~record["found"]
@@ -265,7 +267,7 @@ class Layers(Seen):
         record["albedo"] += β * bsdf.eval_diffuse_reflectance(si, first) & first
         record["normal"] += mi.Color3f(si.sh_frame.n) & first
 
-    def channels(self, record: dict[str, Any]) -> list[mi.Float]:
+    def channels(self, record: Record) -> list[mi.Float]:
         """Values of the film's further channels."""
         colours = [each for kind in KINDS for each in record[kind]]
         colours += [record[buffer] for buffer in BUFFERS]

@@ -263,8 +263,13 @@ def render_passes(
             sums = dataclasses.replace(added, seconds=plan.seconds)
             noise = _noise(sums)
             share = _share(budget, sums, noise)
-            done = max(spent, share, _guess(budget, sums, noise))
-            advance(done - spent, _note(sums, noise))
+            # The display counts the noise of few passes as the share of them, and does not show it.
+            guess = budget.share(sums.samples, sums.seconds, noise)
+            done = max(spent, share, min(guess, sums.passes / _MIN_PASSES))
+            note = (
+                "" if noise is None or sums.passes < _MIN_PASSES else f"noise {100 * noise:.1f} %"
+            )
+            advance(done - spent, note)
             spent = done
             if plan.is_over or share >= 1:
                 break
@@ -282,16 +287,6 @@ def _share(budget: Budget, sums: PassSums, noise: float | None) -> float:
     """As `Budget.share`; the noise of few passes is not known well enough."""
     known = noise if sums.passes >= _MIN_PASSES else None
     return budget.share(sums.samples, sums.seconds, known)
-
-
-def _note(sums: PassSums, noise: float | None) -> str:
-    """The noise for the display: of few passes it would alarm, and says little."""
-    return "" if noise is None or sums.passes < _MIN_PASSES else f"noise {100 * noise:.1f} %"
-
-
-def _guess(budget: Budget, sums: PassSums, noise: float | None) -> float:
-    """The same for the display, from the noise of few passes."""
-    return min(budget.share(sums.samples, sums.seconds, noise), sums.passes / _MIN_PASSES)
 
 
 @contextlib.contextmanager

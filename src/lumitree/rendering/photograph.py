@@ -35,7 +35,7 @@ from lumitree.rendering.view_transform import VIEWS, View, displayed
 # Log-average luminance of the scene relative to white. Side in pixels of the blocks over which it
 # is averaged: the logarithm of single pixels would measure their noise. Share of the blocks that is
 # at most so many times as bright as white.
-_KEY, _BLOCK, _BRIGHTEST = 0.5, 8, (0.95, 4.0)
+_KEY, _BLOCK, _BRIGHTEST = 0.4, 8, (0.95, 4.0)
 # Stops above and below the median block beyond which a block is no part of the scene: lamps and
 # windows, and openings into the dark.
 _ABOVE, _BELOW = 4.0, 7.0

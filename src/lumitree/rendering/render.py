@@ -19,7 +19,7 @@ from lumitree.core.executor import check_executor
 from lumitree.core.files import FilePath, WorkFolder
 from lumitree.core.images import check_exr_name, encode_png, image_settings, write_exr
 from lumitree.core.progress import ProgressCallback, reporting, show_progress
-from lumitree.core.results import Stopwatch
+from lumitree.core.results import Json, Stopwatch
 from lumitree.core.seeds import check_seed
 from lumitree.errors import LumitreeError, explained
 from lumitree.rendering.image import SavedImage
@@ -303,13 +303,11 @@ def _check(spp: int | None, time: float | None, noise: float | None, width: int 
         check_range("noise", noise, 1e-4, 1)
 
 
-def _parts(
-    recorded: "Recorded | None", noisy: NDArray[np.float32], names: Sequence[str]
-) -> dict[str, Any]:
+def _parts(recorded: "Recorded | None", noisy: NDArray[np.float32], names: Sequence[str]) -> Json:
     """Parts of a `RenderResult` beside the image; with names, the layers too."""
     if recorded is None:
         return {}
-    parts: dict[str, Any] = {}
+    parts: Json = {}
     if names:
         parts["layers"] = dict(zip(names, recorded.radiance, strict=True))
         parts["layer_highlights"] = dict(zip(names, recorded.highlights, strict=True))
@@ -321,7 +319,7 @@ def _parts(
     }
 
 
-def _described(placement: Placement, watts: NDArray[np.float64] | None) -> dict[str, Any]:
+def _described(placement: Placement, watts: NDArray[np.float64] | None) -> Json:
     """The given values of a placement, for the comment of an image; with its flux [3], W."""
     values = {field.name: getattr(placement, field.name) for field in dataclasses.fields(placement)}
     given = {name: value for name, value in values.items() if value is not None}

@@ -18,7 +18,7 @@ from lumitree.core.checkpoint import CHECKPOINTS
 from lumitree.core.executor import packed, run_tasks, unpacked
 from lumitree.core.files import FilePath, WorkFolder
 from lumitree.core.reading import read_bytes
-from lumitree.core.results import plain
+from lumitree.core.results import Json, plain
 from lumitree.errors import LumitreeError, LumitreeWarning
 from lumitree.lamp.luminaire import absolute_source
 from lumitree.lamp.source import LuminaireSource, gldf_variant
@@ -152,7 +152,7 @@ class RenderJob:
         """Flux [3] of each lamp in the scene, W; None for explicit ones."""
         return [None if each.asset is None else each.watts for each in self._placed]
 
-    def identity(self, seed: int) -> dict[str, Any]:
+    def identity(self, seed: int) -> Json:
         """Inputs of the image, as members of a JSON object.
 
         Raises:
@@ -233,7 +233,7 @@ def _received(job: bytes) -> RenderJob:
         return RenderJob(described)
 
 
-def _lamp_identity(placed: "PlacedLuminaire") -> dict[str, Any]:
+def _lamp_identity(placed: "PlacedLuminaire") -> Json:
     placement = placed.placement
     values = {field.name: getattr(placement, field.name) for field in dataclasses.fields(placement)}
     source = values.pop("source")

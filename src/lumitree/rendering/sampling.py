@@ -11,7 +11,6 @@ Symbols
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -19,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.device import parameter
+from lumitree.lamp.emitting_surfaces import four_numbers
 
 _PARALLEL = 1e-12
 # Part of the samples that is taken uniformly.
@@ -73,11 +73,12 @@ def divide_sample(sample: mi.Float, fraction: mi.Float | float) -> tuple[mi.Bool
 
 
 def scrambled(sample: mi.Point2f) -> mi.Point3f:
-    """Three numbers in [0, 1) from all bits of a sample in the unit square."""
-    x, y = (dr.reinterpret_array(mi.UInt32, each) for each in (sample.x, sample.y))
-    u, v = mi.sample_tea_32(x, y)
-    w, _ = mi.sample_tea_32(v, u)
-    return mi.Point3f(mi.Float(u >> 8), mi.Float(v >> 8), mi.Float(w >> 8)) * 2.0**-24
+    """The first three of `four_numbers`."""
+    return mi.Point3f(*four_numbers(sample)[:3])
+
+
+# Dr.Jit variables that a `Reservoir` keeps together.
+Candidate = tuple[object, ...]
 
 
 @dataclass
@@ -99,19 +100,19 @@ class Reservoir:
     place: mi.Float
     step: mi.Float
     choice: mi.Float
-    kept: tuple[Any, ...]
+    kept: Candidate
     weight: mi.Float
     total: mi.Float
 
     @classmethod
     def start(
-        cls, place: mi.Float, count: int | mi.UInt32, choice: mi.Float, kept: tuple[Any, ...]
+        cls, place: mi.Float, count: int | mi.UInt32, choice: mi.Float, kept: Candidate
     ) -> Reservoir:
         """Before the first candidate; `kept` is returned where no candidate sends light."""
         step = dr.rcp(mi.Float(count))
         return cls(mi.Float(place), step, mi.Float(choice), kept, mi.Float(0), mi.Float(0))
 
-    def add(self, weight: mi.Float, candidate: tuple[Any, ...]) -> None:
+    def add(self, weight: mi.Float, candidate: Candidate) -> None:
         """Add a candidate, and move `place` for the next one."""
         self.total += weight
         fraction = dr.select(self.total > 0, weight / self.total, 0)

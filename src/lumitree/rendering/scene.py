@@ -7,7 +7,7 @@ import math
 import os
 import warnings
 from collections.abc import Mapping, Sequence
-from typing import Any, TypeAlias, cast
+from typing import Any, TypeAlias
 
 import mitsuba as mi
 import numpy as np
@@ -125,7 +125,7 @@ def _loaded(placement: Placement, metres: float) -> Luminaire | Asset:
     """The lamp of a placement; a photometric file, which is in metres, in the scene's unit."""
     asset = asset_of(placement.source)
     if asset is None:
-        return load_luminaire(cast(Any, placement.source))
+        return load_luminaire(placement.source)
     return asset.scaled(1 / metres) if asset.is_photometric and metres != 1 else asset
 
 

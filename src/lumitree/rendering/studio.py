@@ -6,7 +6,6 @@ By its own light alone most of a lamp is black: its metal and glass have nothing
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -174,7 +173,7 @@ def softboxes(half_width: float) -> list[NDArray[np.float64]]:
 
 def studio_lights(
     half_width: float, white: float, scene_from_local: NDArray[np.float64] = _SAME
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """The backdrop and the softboxes, for `mi.load_dict`.
 
     Args:
@@ -182,7 +181,7 @@ def studio_lights(
         white: radiance of white, W/(m² sr).
         scene_from_local: [4, 4]. Default: the frame of the scene is the local one.
     """
-    lights: dict[str, Any] = {"backdrop": _emitter("constant", BACKDROP * white)}
+    lights: dict[str, object] = {"backdrop": _emitter("constant", BACKDROP * white)}
     for number, local_from_rectangle in enumerate(softboxes(half_width)):
         lights[f"softbox{number}"] = {
             "type": "rectangle",
@@ -197,7 +196,7 @@ class _Studio:
 
     def __init__(
         self,
-        lamp: Mapping[str, Any],
+        lamp: Mapping[str, object],
         integrator: mi.Integrator,
         half_width: float,
         resolution: int,
@@ -245,5 +244,5 @@ class _Studio:
         parameters.update()
 
 
-def _emitter(kind: str, radiance: float) -> dict[str, Any]:
+def _emitter(kind: str, radiance: float) -> dict[str, object]:
     return {"type": kind, "radiance": {"type": "rgb", "value": radiance}}

@@ -1,5 +1,7 @@
 """Camera paths of a luminaire: its integrator, straight-through rays, and views of a dataset."""
 
+from __future__ import annotations
+
 import dataclasses
 import functools
 import os
@@ -35,7 +37,7 @@ _ROOT_SEED = 0
 _MAX_PATHS = 1 << 23
 
 
-def path_integrator(luminaire: Luminaire, path_depth: int, **options: Any) -> Any:
+def path_integrator(luminaire: Luminaire, path_depth: int, **options: object) -> Any:
     """The mi.Integrator that traces this luminaire's paths.
 
     `path` where there are neither media, alpha masks nor null surfaces. Its next-event estimation
@@ -209,7 +211,7 @@ class Camera:
         dr.eval(sums)
         return np.stack([np.array(value) for value in sums], axis=-1)
 
-    def _ray(self, pose: NDArray[np.float64], position: Any) -> Any:
+    def _ray(self, pose: NDArray[np.float64], position: mi.Point2f) -> mi.RayDifferential3f:
         """Orthographic ray through an image position in pixels, row 0 at the top."""
         world_from_camera = mi.Transform4f(self._luminaire.scene_frame.world_from_local @ pose)
         half_width = self._luminaire.bounding_radius

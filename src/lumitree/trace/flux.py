@@ -6,6 +6,8 @@ hitting them, so that it is wrong for other reasons: both are compared in every 
 light is lost or created.
 """
 
+from __future__ import annotations
+
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
@@ -135,7 +137,7 @@ def _camera_paths(scene, ray, sampler, path_depth):
     return radiance
 
 
-def flux_of(moments: "Moments", factor: float) -> Flux:
+def flux_of(moments: Moments, factor: float) -> Flux:
     """Flux as the mean of a path's value times a factor."""
     mean, error = ((factor * value).tolist() for value in moments.mean_and_error())
     return Flux(
@@ -220,7 +222,7 @@ def random_radiance(luminaire: Luminaire, integrator: Any, seed: int) -> NDArray
     return values
 
 
-def _random_ray(luminaire: Luminaire, sampler: Any) -> Any:
+def _random_ray(luminaire: Luminaire, sampler: mi.Sampler) -> mi.Ray3f:
     """mi.Ray3f, uniform in position and direction, that enters the bounding sphere."""
     frame = mi.Frame3f(mi.warp.square_to_uniform_sphere(sampler.next_2d()))
     disk = mi.warp.square_to_uniform_disk_concentric(sampler.next_2d())

@@ -18,8 +18,8 @@ from lumitree.core.octahedral import bin_of
 from lumitree.core.photometry import luminance
 
 
-def grid_cell(position: mi.Point3f, side: mi.Float | int) -> Any:
-    """Cell (mi.Point3i) of a position in a grid of `side` cells a side; the nearest, if outside."""
+def grid_cell(position: mi.Point3f, side: mi.Float | int) -> mi.Point3i:
+    """Cell of a position in a grid of `side` cells a side; the nearest, if outside."""
     return dr.clip(mi.Point3i(dr.floor((position + 1) * (side / 2))), 0, mi.Int32(side) - 1)
 
 

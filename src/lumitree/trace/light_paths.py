@@ -61,7 +61,10 @@ class RayBatch:
 
     def arrays(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Origin, direction and flux, each [N, 3]."""
-        return as_rows(self.origin), as_rows(self.direction), as_rows(self.flux)
+        vectors = self.origin, self.direction, self.flux
+        dr.eval(vectors)
+        origin, direction, flux = map(as_rows, vectors)
+        return origin, direction, flux
 
 
 class EmittedRays(Protocol):
@@ -86,6 +89,8 @@ def seeded_sampler(seed: int, count: int) -> mi.Sampler:
 
 def as_rows(vectors: Any) -> NDArray[np.float64]:
     """Dr.Jit vectors of three components as an array [N, 3]."""
+    # By one kernel: otherwise each component would trace all paths again.
+    dr.eval(vectors)
     # Each by itself: the number of vectors would be a part of a kernel's code.
     components = (np.array(each, np.float64) for each in vectors)
     return np.array(np.broadcast_arrays(*components)).T
@@ -226,15 +231,17 @@ def trace_light(
     return paths
 
 
-def emitted_flux(luminaire: Luminaire, sampler: mi.Sampler, count: int) -> tuple[Any, Any]:
+def emitted_flux(
+    luminaire: Luminaire, sampler: mi.Sampler, count: int
+) -> tuple[mi.Color3f, mi.UInt32]:
     """Flux with which `count` light paths start, before the luminaire absorbs any.
 
     Args:
         sampler: seeded for as many paths. Seeded as for `trace_light`, the paths start alike.
 
     Returns:
-        mi.Color3f, flux of each path, local units, whose sum is an estimate of the flux of the bare
-        emitters; and mi.UInt32, the path's emitter as its index in the scene.
+        Flux of each path, local units, whose sum is an estimate of the flux of the bare
+        emitters; and the path's emitter as its index in the scene.
     """
     extent = scene_extent(luminaire.scene)
     _, flux, emitter = emit(luminaire.emitting_surfaces, sampler, extent)

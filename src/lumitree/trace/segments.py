@@ -15,7 +15,6 @@ Symbols
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -160,8 +159,8 @@ class Reservoir:
         return segments
 
 
-def restoring_factor(whole: mi.Float, limited: mi.Float) -> Any:
-    """Factor (mi.Float) on flux with a limit by which its sum is the sum without; 1 if it is 0.
+def restoring_factor(whole: mi.Float, limited: mi.Float) -> mi.Float:
+    """Factor on flux with a limit by which its sum is the sum without; 1 if it is 0.
 
     Summed by NumPy in double precision: a sum of Dr.Jit depends on the number of threads, and light
     fields are equal by bytes with any number of workers.

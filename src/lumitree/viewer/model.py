@@ -6,7 +6,6 @@ Symbols
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -119,7 +118,7 @@ def _sent_out(
     pattern: NDArray[np.floating],
     fronts: NDArray[np.integer],
     backs: NDArray[np.integer],
-    lights: Mapping[str, Any] | None = None,
+    lights: Mapping[str, object] | None = None,
 ) -> NDArray[np.float32]:
     """Mean radiance [V, 6] that vertices send out at front and back, over the mean of a pattern."""
     count = len(vertices)

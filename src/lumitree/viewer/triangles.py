@@ -9,7 +9,7 @@ over connected vertices stays. ℓ is as long as noise needs it: in a plane, the
 """
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -133,21 +133,44 @@ def _divided(
     faces: NDArray[np.integer],
 ) -> tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.int64]]:
     """Vertices, their places and triangles, of which those with long sides are divided."""
-    from trimesh.remesh import subdivide
-
     for _ in range(_MOST_DIVISIONS):
         corners = vertices[faces]
         sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1)
-        long = np.flatnonzero(sides.max(axis=1) > _LONGEST_SIDE)
-        if not len(long):
+        long = sides.max(axis=1) > _LONGEST_SIDE
+        if not long.any():
             break
-        divided: Any = subdivide(vertices, faces, long, {"places": places})
-        vertices, faces, places = *divided[:2], divided[2]["places"]
+        middles, quarters = quartered(faces[long], len(vertices))
+        faces = np.concatenate([faces[~long], quarters])
+        vertices, places = (
+            np.concatenate([each, each[middles].mean(axis=1)]) for each in (vertices, places)
+        )
     return (
         np.asarray(vertices, np.float32),
         np.asarray(places, np.float64),
         np.asarray(faces, np.int64),
     )
+
+
+def quartered(
+    faces: NDArray[np.integer], count: int
+) -> tuple[NDArray[np.integer], NDArray[np.integer]]:
+    """Triangles that are each divided into four, by the middles of their sides.
+
+    As `trimesh.remesh.subdivide`, whose import takes longer than the page.
+
+    Args:
+        faces: [F, 3].
+        count: number of vertices before; the middles come after them.
+
+    Returns:
+        [M, 2] the two vertices that each middle is between; and [4 F, 3].
+    """
+    sides = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
+    codes = sides.astype(np.int64) @ [1, count]
+    codes, inverse = np.unique(codes, return_inverse=True)
+    (a, b, c), (ab, bc, ca) = faces.T, count + inverse.reshape(-1, 3).T
+    quarters = np.stack([a, ab, ca, ab, b, bc, ca, bc, c, ab, bc, ca], axis=1).reshape(-1, 3)
+    return np.stack([codes % count, codes // count], axis=1), quarters
 
 
 def smoothed(

@@ -140,14 +140,14 @@ def test_an_unfinished_run_is_extracted_with_a_warning(dataset, tmp_path):
 
 
 def test_interrupt_saves_first(dataset, tmp_path, monkeypatch):
-    draw = training._Loop._draw
+    draw = training.RaySet.draw
 
-    def interrupted_draw(self, step):
+    def interrupted_draw(self, seed, step, count):
         if step == 6:
             os.kill(os.getpid(), signal.SIGINT)
-        return draw(self, step)
+        return draw(self, seed, step, count)
 
-    monkeypatch.setattr(training._Loop, "_draw", interrupted_draw)
+    monkeypatch.setattr(training.RaySet, "draw", interrupted_draw)
     handler = signal.getsignal(signal.SIGINT)
     assert train(dataset, tmp_path / "run", TINY).stopped_by == signal.SIGINT
     assert signal.getsignal(signal.SIGINT) is handler
@@ -156,13 +156,13 @@ def test_interrupt_saves_first(dataset, tmp_path, monkeypatch):
 
 def test_loss_that_is_not_finite_names_the_step(dataset, tmp_path, monkeypatch):
     train(dataset, tmp_path / "run", TINY, stop_after=5)
-    draw = training._Loop._draw
+    draw = training.RaySet.draw
 
-    def poisoned_draw(self, step):
-        batch = draw(self, step)
+    def poisoned_draw(self, seed, step, count):
+        batch = draw(self, seed, step, count)
         return batch._replace(radiance=batch.radiance * (np.nan if step == 7 else 1))
 
-    monkeypatch.setattr(training._Loop, "_draw", poisoned_draw)
+    monkeypatch.setattr(training.RaySet, "draw", poisoned_draw)
     with pytest.raises(LumitreeError, match=r"not finite at step 8.*checkpoint there is good"):
         train(dataset, tmp_path / "run", TINY, resume=True)
     assert int(_final_state(tmp_path / "run").step) == 5

@@ -14,8 +14,8 @@ have 64 million rays, of which about half cross the box: 0.7 to 1.4 GB.
 
 import dataclasses
 import math
-from collections.abc import Iterable, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Iterable
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lumitree.core.frames import orthographic_rays
+from lumitree.core.reading import Arrays
 from lumitree.errors import LumitreeError
 from lumitree.lamp.dataset import Dataset, OpacityKind, visual_hull
 
@@ -36,7 +37,7 @@ class Occupancy(NamedTuple):
     cells: jax.Array | NDArray[np.bool_]
     half_extents: jax.Array | NDArray[np.float32]
 
-    def arrays(self) -> dict[str, NDArray[Any]]:
+    def arrays(self) -> Arrays:
         """The grid as arrays for a checkpoint, its cells as packed bits."""
         cells = np.asarray(self.cells)
         return {
@@ -46,7 +47,7 @@ class Occupancy(NamedTuple):
         }
 
     @staticmethod
-    def of_arrays(arrays: Mapping[str, NDArray[Any]]) -> "Occupancy":
+    def of_arrays(arrays: Arrays) -> "Occupancy":
         """The grid of `arrays`."""
         shape = arrays["grid"].tolist()
         cells = np.unpackbits(arrays["occupied"], count=math.prod(shape)).astype(bool)
@@ -226,7 +227,10 @@ def load_rays(dataset: Dataset, kind: OpacityKind, skip_empty: bool) -> tuple[Ra
         origins, direction = orthographic_rays(
             view.frame.pose, manifest.half_width, manifest.resolution
         )
-        geometry.append(_view_geometry(origins, direction))
+        steps = max(origins.shape[0] - 1, 1)
+        column_step = (origins[0, -1] - origins[0, 0]) / steps
+        row_step = (origins[-1, 0] - origins[0, 0]) / steps
+        geometry.append((origins[0, 0], column_step, row_step, direction))
         # Row by row, because the bins of a whole view take gigabytes.
         crossing = _crossing_rows(occupancy, jnp.asarray(origins), jnp.asarray(direction))
         kept.append(np.flatnonzero(np.asarray(crossing)))
@@ -251,16 +255,6 @@ def load_rays(dataset: Dataset, kind: OpacityKind, skip_empty: bool) -> tuple[Ra
         max_radiance=highest,
     )
     return rays, occupancy
-
-
-def _view_geometry(
-    origins: NDArray[np.float32], direction: NDArray[np.float32]
-) -> tuple[NDArray[np.float32], ...]:
-    """Corner, step to the next column, step to the next row and direction of one view."""
-    steps = max(origins.shape[0] - 1, 1)
-    column_step = (origins[0, -1] - origins[0, 0]) / steps
-    row_step = (origins[-1, 0] - origins[0, 0]) / steps
-    return origins[0, 0], column_step, row_step, direction
 
 
 @jax.jit

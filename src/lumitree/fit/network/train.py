@@ -10,12 +10,10 @@ import functools
 import os
 import time
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
 
 from lumitree.core.checkpoint import Arrays, Checkpoint, read_checkpoint
 from lumitree.core.files import WriteError, exclusive, is_empty
@@ -27,7 +25,7 @@ from lumitree.core.seeds import check_seed
 from lumitree.core.tables import converted
 from lumitree.errors import LumitreeError
 from lumitree.fit.network.config import TrainConfig
-from lumitree.fit.network.rays import Batch, Occupancy, RaySet, load_rays
+from lumitree.fit.network.rays import Occupancy, RaySet, load_rays
 from lumitree.fit.network.step import (
     TrainState,
     initial_state,
@@ -237,7 +235,8 @@ class _Loop:
         ):
             note = ""
             while done < last and not interrupted:
-                state, loss, norm = self.step(state, self._draw(done), self.occupancy)
+                batch = self.rays.draw(self.seed, done, self.config.rays_per_batch)
+                state, loss, norm = self.step(state, batch, self.occupancy)
                 self.pending.append((loss, norm))
                 done += 1
                 if len(self.pending) >= _STEPS_PER_CHECK or done == last:
@@ -252,14 +251,13 @@ class _Loop:
                 advance(1, note)
             self._check(done)
             self.seconds = self.earlier + time.monotonic() - start
-            self._save(done, state)
+            if self.saved_step != done:
+                self.checkpoint.save(self._arrays(state))
+                self.saved_step = done
         rate = (done - first) * self.config.rays_per_batch / max(self.seconds - self.earlier, 1e-9)
         black = psnr(jnp.zeros(3), self.held_out.radiance, self.rays.max_radiance)
         quality = float(self.evaluate(state.params, self.held_out, self.occupancy))
         return TrainResult(done, self.seconds, quality, float(black), rate, interrupted.number)
-
-    def _draw(self, step: int) -> Batch:
-        return self.rays.draw(self.seed, step, self.config.rays_per_batch)
 
     def _check(self, done: int) -> float:
         """The last loss; refuses losses since the last check that are not finite."""
@@ -280,15 +278,8 @@ class _Loop:
         self.history.append((done, round(self.seconds, 3), loss, quality))
         return f"loss {loss:.3g}, PSNR {quality:.2f} dB, {rate / 1000:.1f} k rays/s"
 
-    def _save(self, done: int, state: TrainState) -> None:
-        if self.saved_step != done:
-            self.checkpoint.save(self._arrays(state))
-            self.saved_step = done
-
     def _arrays(self, state: TrainState) -> Arrays:
         leaves = jax.device_get(jax.tree.leaves(state))
-        weights: dict[str, NDArray[Any]] = {
-            f"state{index}": np.asarray(leaf) for index, leaf in enumerate(leaves)
-        }
+        weights: Arrays = {f"state{index}": np.asarray(leaf) for index, leaf in enumerate(leaves)}
         history = np.array(self.history, np.float64).reshape(-1, 4)
         return {**weights, **self.occupancy_arrays, "history": history}

@@ -127,7 +127,9 @@ def refine(
     config = dataclasses.replace(
         config, tree_depth=asset.tree_depth, l_max=asset.l_max, law=asset.law
     )
-    seed = _continued_seed(asset, seed)
+    # Not the seed of the rays that the asset was made with.
+    checksum = zlib.crc32(asset.coefficients.tobytes(), zlib.crc32(asset.density.tobytes()))
+    seed = SeedStream(Purpose.CONTINUATION, checksum).seed(seed) & MAX_SEED
     source = _traced_rays(luminaire, config, seed)
 
     def start() -> tuple[LeafField, float]:
@@ -158,7 +160,8 @@ def _run(
         best = refiner.field
     else:
         budget = Budget(config, float(saved["seconds"]), int(saved["rays"]))
-        field, max_radiance = _empty_field(config, source), float(saved["max_radiance"])
+        none, max_radiance = np.zeros((0, 3), np.int64), float(saved["max_radiance"])
+        field = _field(config, source, none, none[:, 0], none[:, 0], np.zeros(0))
         refiner = Refiner(field, source, max_radiance, config.refine, config.split)
         refiner.restore(saved)
         # The best field that was saved: an uninterrupted bake would not have kept the current one.
@@ -225,12 +228,6 @@ def _traced_rays(luminaire: Luminaire, config: OctreeConfig, seed: int) -> Trace
     return TracedRays(luminaire, spacing=2 / (1 << level), seed=seed)
 
 
-def _continued_seed(asset: Asset, seed: int) -> int:
-    """Root seed for refining an asset: not the one of the rays that it was made with."""
-    checksum = zlib.crc32(asset.coefficients.tobytes(), zlib.crc32(asset.density.tobytes()))
-    return SeedStream(Purpose.CONTINUATION, checksum).seed(seed) & MAX_SEED
-
-
 def _visible_radiance(source: TracedRays, config: OctreeConfig) -> float:
     """`TracedRays.max_radiance` of pixels as wide as the smallest leaves; refuses 0."""
     max_radiance = source.max_radiance(2 / (1 << config.tree_depth), config.max_radiance)
@@ -267,11 +264,6 @@ def _hull_field(source: StoredRays, config: OctreeConfig) -> LeafField:
     coefficients[:, :, 0] = math.log(views.hull_emission / (1 - views.hull_emission)) / Y_00
     density = np.full(len(cells), views.hull_optical_depth * (1 << level) / 2)
     return _field(config, source, cells, np.full(len(cells), level), density, coefficients)
-
-
-def _empty_field(config: OctreeConfig, source: RaySource) -> LeafField:
-    none = np.zeros((0, 3), np.int64)
-    return _field(config, source, none, none[:, 0], none[:, 0], np.zeros(0))
 
 
 def _field(

@@ -177,11 +177,15 @@ def flux_correction(
     No second draw is made once `over` returns true; with fewer draws the factor is less precise.
     """
     traced, shown, beyond = 0.0, 0.0, 0.0
+
+    def every(origin: mi.Point3f, direction: mi.Vector3f) -> mi.Bool:
+        return dr.full(mi.Bool, True, dr.width(origin))
+
     for draw in range(config.draws):
         if draw and over is not None and over():
             break
         stream = SeedStream(Purpose.FLUX_CORRECTION, step, draw)
-        rays = source.draw(config.rays, stream, _all_rays, config.light_paths_per_ray)
+        rays = source.draw(config.rays, stream, every, config.light_paths_per_ray)
         radiance, _, _ = field.integrate(rays.origin, rays.direction)
         traced += float(dr.sum(rays.light, axis=None)[0]) / max_radiance
         shown += float(dr.sum(rays.share * radiance, axis=None)[0])
@@ -191,7 +195,3 @@ def flux_correction(
         beyond += float(dr.sum(seen, axis=None)[0])
     factor = traced / shown if traced > 0 and shown > 0 else 1.0
     return FluxCorrection(factor, beyond / traced if traced > 0 else 0.0)
-
-
-def _all_rays(origin: mi.Point3f, direction: mi.Vector3f) -> mi.Bool:
-    return dr.full(mi.Bool, True, dr.width(origin))

@@ -18,8 +18,6 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
-from collections.abc import Mapping
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -272,7 +270,7 @@ class Refiner:
             "steps": np.array([self.step, density.steps]),
         }
 
-    def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
+    def restore(self, state: Arrays) -> None:
         """Continue from a former `state`."""
         self.field = self.field.with_leaves(*(state[name] for name in LEAVES))
         density, coefficients = self._density_adam, self._coefficient_adam

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import copy
 import functools
-from typing import Any
+from typing import Any, TypeAlias
 
 import drjit as dr
 import mitsuba as mi
@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from lumitree.core.device import on_device
 from lumitree.core.frames import towards_viewer
 from lumitree.core.harmonics import basis, num_coefficients
+from lumitree.core.reading import Arrays
 from lumitree.core.transmittance import BLOCKED, Law, transmittance
 from lumitree.fit.octree.sums import ExactSum, total_of
 from lumitree.octree.build import build_children
@@ -35,6 +36,7 @@ MIN_WEIGHT = 1e-4
 # Optical depth across a leaf that a bake makes opaque: it transmits 5e-5, and a bake makes no leaf
 # denser.
 OPAQUE_DEPTH = 10.0
+_Values: TypeAlias = "mi.Float | NDArray[np.floating]"
 # The arrays of a field, as `LeafField.arrays` names them.
 LEAVES = ("cells", "levels", "log_density", "coefficients")
 
@@ -59,8 +61,8 @@ class LeafField:
         self,
         cells: NDArray[np.int64],
         levels: NDArray[np.int64],
-        log_density: Any,
-        coefficients: Any,
+        log_density: _Values,
+        coefficients: _Values,
         *,
         tree_depth: int,
         l_max: int,
@@ -81,8 +83,8 @@ class LeafField:
         self,
         cells: NDArray[np.int64],
         levels: NDArray[np.int64],
-        log_density: Any,
-        coefficients: Any,
+        log_density: _Values,
+        coefficients: _Values,
     ) -> LeafField:
         """A field of other leaves over the same proxy."""
         return LeafField(
@@ -136,7 +138,7 @@ class LeafField:
         rows = np.array(self.coefficients).reshape(self.num_leaves, self.width)
         return rows[:, : 3 * count].reshape(-1, 3, count)
 
-    def arrays(self) -> dict[str, NDArray[Any]]:
+    def arrays(self) -> Arrays:
         """The arrays that `LEAVES` names, in the form that `with_leaves` takes."""
         values = self.cells, self.levels, np.array(self.log_density), self.coefficient_array()
         return dict(zip(LEAVES, values, strict=True))
@@ -166,7 +168,7 @@ class LeafField:
         self.coefficients = dr.ravel(before + strength * (total / dr.maximum(count, 1) - before))
         dr.eval(self.coefficients)
 
-    def _padded(self, coefficients: Any) -> Any:
+    def _padded(self, coefficients: _Values) -> mi.Float:
         if not isinstance(coefficients, np.ndarray):
             return coefficients
         count = 3 * num_coefficients(self.l_max)

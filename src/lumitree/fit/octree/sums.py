@@ -5,8 +5,9 @@ on it. Here every value is rounded to a multiple of a power of two, and the mult
 64-bit integers, which is exact. So equal seeds give equal bytes, with any number of threads.
 """
 
+from __future__ import annotations
+
 import math
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -37,8 +38,10 @@ class ExactSum:
         self._multiplier = dr.opaque(mi.Float, self._scale)
         self._total = dr.zeros(mi.Int64, size)
 
-    def add(self, value: Any, index: Any, active: Any = True) -> None:
-        """Add values (mi.Float, or mi.Vector4f to four neighbours) to the sums of an index."""
+    def add(
+        self, value: mi.Float | mi.Vector4f, index: mi.UInt32, active: mi.Bool | bool = True
+    ) -> None:
+        """Add values to the sums of an index, or four values to four neighbours."""
         integer = mi.Int64 if dr.size_v(value) != 4 else dr.int64_array_t(value)
         multiple = integer(dr.round(value * self._multiplier))
         # Rays of a packet are neighbours but seldom in one leaf: looking for that costs more.
@@ -46,13 +49,13 @@ class ExactSum:
             dr.ReduceOp.Add, self._total, multiple, index, active, mode=dr.ReduceMode.Direct
         )
 
-    def values(self) -> Any:
-        """The sums (mi.Float)."""
+    def values(self) -> mi.Float:
+        """The sums."""
         return mi.Float(self._total) * dr.opaque(mi.Float, 1 / self._scale)
 
 
-def total_of(count: int, *values: Any) -> float:
-    """A bound for `ExactSum`: sum over `count` rays of absolute values, mi.Float or mi.Color3f."""
+def total_of(count: int, *values: mi.Float | mi.Color3f) -> float:
+    """A bound for `ExactSum`: sum over `count` rays of absolute values."""
     total = 0.0
     for value in values:
         copies = count if dr.width(value) == 1 else 1

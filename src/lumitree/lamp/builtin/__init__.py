@@ -11,10 +11,11 @@ where they are joined. Equal parts share one mesh.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from lumitree.core.results import Json
 from lumitree.lamp.builtin import bulbs, lanterns, neoclassical
 from lumitree.lamp.parts import Geometry
 
@@ -25,7 +26,7 @@ class Builtin(NamedTuple):
     description: str
     build: Callable[[], Geometry]
 
-    def figures(self) -> dict[str, Any]:
+    def figures(self) -> Json:
         """The lamp in numbers, see `builtin_luminaires`."""
         model = self.build()
         radiances = [model.material(part).radiance for part in model.parts for _ in part.places]

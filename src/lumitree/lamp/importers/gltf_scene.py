@@ -295,7 +295,12 @@ def read_triangles(accessors: Accessors, primitive: Item, uv_set: int) -> Mesh |
         None if colours is None else np.clip(colours[:, :3], 0.0, 1.0),
     )
     normals = attribute("NORMAL", (3,))
-    return _faceted(mesh) if normals is None else _with_normals(mesh, normals)
+    if normals is not None:
+        return _with_normals(mesh, normals)
+    # Every face has vertices and a normal of its own, as glTF asks where normals are missing.
+    corners = mesh.faces.ravel()
+    faceted = mesh.taken(corners, np.arange(len(corners)).reshape(-1, 3))
+    return dataclasses.replace(faceted, normals=facets(mesh.vertices[mesh.faces]).normals)
 
 
 def baked(mesh: Mesh, world: Floats) -> Mesh:
@@ -320,13 +325,6 @@ def _faces(order: NDArray[np.int64], mode: int) -> NDArray[np.int64]:
     # Every other triangle of a strip runs the other way round.
     faces[1::2] = faces[1::2][:, [0, 2, 1]]
     return faces
-
-
-def _faceted(mesh: Mesh) -> Mesh:
-    """Every face with vertices and a normal of its own, as glTF asks where normals are missing."""
-    corners = mesh.faces.ravel()
-    faceted = mesh.taken(corners, np.arange(len(corners)).reshape(-1, 3))
-    return dataclasses.replace(faceted, normals=facets(mesh.vertices[mesh.faces]).normals)
 
 
 def _with_normals(mesh: Mesh, normals: Floats) -> Mesh:

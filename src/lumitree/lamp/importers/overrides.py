@@ -265,7 +265,11 @@ def _settled(
             pass
         case _:
             return surface
-    shares = [count_solids(mesh) for mesh in _whole_meshes(_parts_with(model, title))]
+    # A mesh is divided where its texture coordinates are mirrored: parts in one place are one.
+    meshes: dict[bytes, list[Mesh]] = {}
+    for part in _parts_with(model, title):
+        meshes.setdefault(np.array(part.places).tobytes(), []).append(part.mesh)
+    shares = [count_solids(join(each)) for each in meshes.values()]
     closed, pieces = (sum(column) for column in zip((0, 0), *shares, strict=True))
     if closed == pieces:
         return surface
@@ -285,17 +289,6 @@ def _settled(
             stacklevel=3,
         )
     return surfaces.make_material(surfaces.ThinDielectric.plugin, surface.parameters)
-
-
-def _whole_meshes(parts: Sequence[Part]) -> list[Mesh]:
-    """Meshes of parts, of which those in one place count as one.
-
-    A mesh is divided where its texture coordinates are mirrored.
-    """
-    meshes: dict[bytes, list[Mesh]] = {}
-    for part in parts:
-        meshes.setdefault(np.array(part.places).tobytes(), []).append(part.mesh)
-    return [join(each) for each in meshes.values()]
 
 
 def _parts_with(model: Geometry, title: str) -> list[Part]:
