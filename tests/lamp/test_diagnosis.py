@@ -8,7 +8,7 @@ import trimesh
 
 from lumitree.lamp.diagnosis import diagnose, trace_lines
 from lumitree.lamp.luminaire import load_luminaire
-from support.lamps import AREA, GLASS, cube, scene, sphere
+from support.lamps import AREA, GLASS, cube, lamp_of, sphere
 
 LAMP = sphere("lamp", 0.1, (0, 0, 5), AREA)
 BUBBLE = GLASS.replace("int_ior", "outside").replace("ext", "int").replace("outside", "ext_ior")
@@ -18,8 +18,7 @@ MASKED = f'<bsdf type="mask">{GLASS}</bsdf>'
 @pytest.fixture
 def faults(mi, tmp_path):
     def find(*shapes):
-        (tmp_path / "lamp.xml").write_text(scene(LAMP, *shapes))
-        return diagnose(load_luminaire(tmp_path / "lamp.xml").scene)
+        return diagnose(lamp_of(tmp_path, LAMP, *shapes).scene)
 
     return find
 

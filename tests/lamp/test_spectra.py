@@ -17,8 +17,7 @@ LISTED = "400:0.2, 500:0.7, 600:0.4, 700:0.9"
 
 
 def lamp(folder, inside):
-    (folder / "lamp.xml").write_text(scene(sphere("ball", 0.5, inside=inside)))
-    return load_luminaire(folder / "lamp.xml")
+    return lamp_of(folder, sphere("ball", 0.5, inside=inside))
 
 
 def area(value):

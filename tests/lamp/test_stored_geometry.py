@@ -13,11 +13,10 @@ from lumitree.asset.materials import Texture
 from lumitree.core.device import on_device
 from lumitree.core.mitsuba_meshes import make_mesh
 from lumitree.errors import LumitreeError
-from lumitree.lamp.luminaire import load_luminaire
 from lumitree.lamp.media import stored_medium
 from lumitree.lamp.stored_geometry import stored_geometry
 from support.geometry_assets import with_geometry
-from support.lamps import AREA, GLASS, cube, scene, sphere
+from support.lamps import AREA, GLASS, cube, lamp_of, sphere
 
 ID = '<transform name="to_world"><rotate y="1" angle="30"/><translate x="2"/></transform>'
 TEXTURE = (
@@ -79,8 +78,7 @@ def luminaire(mi, tmp_path):
     mi.Bitmap(wide).write(str(tmp_path / "wide.png"))
 
     def made(*shapes):
-        (tmp_path / "lamp.xml").write_text(scene(sphere("ball", 0.5, inside=AREA), *shapes))
-        return load_luminaire(tmp_path / "lamp.xml")
+        return lamp_of(tmp_path, sphere("ball", 0.5, inside=AREA), *shapes)
 
     return made
 

@@ -12,7 +12,7 @@ from lumitree.measure.evaluate import evaluate_views
 from lumitree.measure.irradiance import evaluate_irradiance
 from lumitree.trace.cameras import capture
 from support import tiny_bakes
-from support.lamps import AREA, scene, sphere
+from support.lamps import AREA, lamp_of, sphere
 from support.tiny_bakes import bake_config, standard
 
 MOST = 1 << 20
@@ -66,9 +66,7 @@ def test_a_time_is_checked():
 
 @pytest.mark.slow
 def test_geometry_is_compared_where_there_is_no_field(mi, tmp_path):
-    path = tmp_path / "lamp.xml"
-    path.write_text(scene(sphere("ball", 0.5, inside=AREA), sphere("other", 0.2, (0.9, 0, 0))))
-    lamp = load_luminaire(path)
+    lamp = lamp_of(tmp_path, sphere("ball", 0.5, inside=AREA), sphere("other", 0.2, (0.9, 0, 0)))
     views = capture(lamp, tmp_path / "views", views=2, resolution=32, spp=64)
     parts = {"both": ("light", "geometry"), "light": ("light",)}
     assets = {

@@ -10,7 +10,6 @@ from lumitree.core.photometry import luminance
 from lumitree.core.results import Stopwatch
 from lumitree.errors import LumitreeWarning
 from lumitree.fit.light_field.bake import bake_light_field
-from lumitree.lamp.luminaire import load_luminaire
 from lumitree.measure.batches import BATCHES
 from lumitree.measure.irradiance import (
     CUBE_HALF_SIDE,
@@ -26,7 +25,7 @@ from lumitree.measure.irradiance import (
 from lumitree.octree.field import Field
 from lumitree.trace.light_field_config import LightFieldConfig
 from support.fields import random_asset, uniform_asset
-from support.lamps import AREA, cube, lamp_of, scene, sphere
+from support.lamps import AREA, cube, lamp_of, sphere
 
 SIDE = 2 * CUBE_HALF_SIDE / PATCHES
 
@@ -51,9 +50,7 @@ def z_scores(estimate, expected):
 
 def test_a_sphere_lights_its_surroundings_by_the_closed_form(mi, tmp_path):
     """E = π L R² cos θ / d² wherever the whole sphere is above the horizon."""
-    path = tmp_path / "ball.xml"
-    path.write_text(scene(sphere("ball", 2, (5, -3, 1), AREA)))
-    estimate = luminaire_irradiance(load_luminaire(path), 1 << 20)
+    estimate = luminaire_irradiance(lamp_of(tmp_path, sphere("ball", 2, (5, -3, 1), AREA)), 1 << 20)
     expected = np.zeros_like(estimate.mean)
     for face in range(len(FACES)):
         points, normal = patch_points(face, 16)
@@ -155,9 +152,7 @@ def test_faces_that_receive_no_light_are_not_compared(mi):
 
 def test_a_field_equal_to_its_luminaire_has_no_error(mi, tmp_path):
     """A cube of uniform radiance, and an opaque field that emits as it does."""
-    path = tmp_path / "cube.xml"
-    path.write_text(scene(cube("cube", 2, (1, 2, 3), AREA)))
-    lamp = load_luminaire(path)
+    lamp = lamp_of(tmp_path, cube("cube", 2, (1, 2, 3), AREA))
     found = evaluate_irradiance(uniform_asset(1e4, [3.0, 2.0, 1.0]), lamp, 1 << 18)
     metrics = found.metrics
     assert list(metrics) == ["irradiance_ratio", "irradiance_rms", "irradiance_rms_touching"]
@@ -182,9 +177,7 @@ def test_a_field_equal_to_its_luminaire_has_no_error(mi, tmp_path):
 
 
 def test_it_is_the_same_for_the_same_seed(mi, tmp_path):
-    path = tmp_path / "ball.xml"
-    path.write_text(scene(sphere("ball", 2, inside=AREA)))
-    lamp = load_luminaire(path)
+    lamp = lamp_of(tmp_path, sphere("ball", 2, inside=AREA))
     first, second, third = (luminaire_irradiance(lamp, 1 << 12, seed=s).batches for s in (1, 1, 2))
     assert (first == second).all()
     assert (first != third).any()

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from lumitree.core.images import tonemap
-from lumitree.lamp.luminaire import load_luminaire
 from support.figures import texts, tile_pixels
-from support.lamps import AREA, cube, scene, sphere
+from support.lamps import AREA, cube, lamp_of, sphere
 from support.slow import slow
 
 # A lit ball to the right, above and in front of the middle of a box of side 4.
@@ -21,8 +20,7 @@ def preview(mi, tmp_path):
     from lumitree.measure.preview import take_preview
 
     def take(*shapes, resolution=48):
-        (tmp_path / "lamp.xml").write_text(scene(*shapes))
-        return take_preview(load_luminaire(tmp_path / "lamp.xml"), resolution, 4)
+        return take_preview(lamp_of(tmp_path, *shapes), resolution, 4)
 
     return take
 

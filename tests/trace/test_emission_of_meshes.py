@@ -8,7 +8,7 @@ from lumitree.lamp.luminaire import load_luminaire
 from lumitree.trace.light_paths import trace_light
 from support.camera_flux import flux_by_camera_paths
 from support.fields import uniform_asset
-from support.lamps import AREA, scene, sphere
+from support.lamps import AREA, lamp_of, scene, sphere
 
 
 @pytest.mark.slow
@@ -48,9 +48,7 @@ def test_a_mesh_of_smooth_normals_emits_what_camera_paths_see_of_it(mi, tmp_path
 
 def test_only_bent_light_is_returned_unless_all_is_asked_for(mi, tmp_path):
     """A bare sphere is seen straight alone."""
-    lamp_file = tmp_path / "lamp.xml"
-    lamp_file.write_text(scene(sphere("ball", 1, inside=AREA)))
-    lamp = load_luminaire(lamp_file)
+    lamp = lamp_of(tmp_path, sphere("ball", 1, inside=AREA))
     flux = []
     for all_light in (False, True):
         sampler = mi.load_dict({"type": "independent"})

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from lumitree.lamp.luminaire import load_luminaire
 from lumitree.rendering.scene import place_shapes
-from support.lamps import AREA, GLASS, cube, scene, sphere
+from support.lamps import AREA, GLASS, cube, lamp_of, sphere
 
 FRESNEL = 0.04  # ((1.5 - 1) / (1.5 + 1))²
 # Under radiance 1 from everywhere, a black surface that emits 1 is invisible.
@@ -23,8 +22,7 @@ def medium(sigma_t, albedo):
 
 
 def load(tmp_path, *shapes):
-    (tmp_path / "lamp.xml").write_text(scene(*shapes))
-    return load_luminaire(tmp_path / "lamp.xml")
+    return lamp_of(tmp_path, *shapes)
 
 
 def rays(mi, count, direction, origin=(0, 0, 0), spread=0.0, distance=5.0):

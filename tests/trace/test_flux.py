@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from lumitree.lamp.luminaire import load_luminaire
-from support.lamps import AREA, GLASS, cube, scene, sphere
+from support.lamps import AREA, GLASS, cube, lamp_of, sphere
 from support.slow import slow
 
 RADIUS = 2.0
@@ -14,9 +13,7 @@ LUMENS = 683 * (KNOWN @ [0.2126, 0.7152, 0.0722])
 
 @pytest.fixture
 def lamp(mi, tmp_path):
-    path = tmp_path / "lamp.xml"
-    path.write_text(scene(sphere("lamp", RADIUS, (5, 1, 0), AREA)))
-    return load_luminaire(path)
+    return lamp_of(tmp_path, sphere("lamp", RADIUS, (5, 1, 0), AREA))
 
 
 # All light paths of a bare sphere carry the same, so that rounding is all of their error.
@@ -62,35 +59,30 @@ def test_standard_error_is_the_spread_of_independent_estimates(lamp):
     assert abs(lumens.mean() - LUMENS) < 4 * expected / np.sqrt(12)
 
 
+MASK = '<bsdf type="mask"><float name="opacity" value="0.5"/><bsdf type="diffuse"/></bsdf>'
+
+
+# Large, so that Mitsuba's distance of rays from surfaces is small; and a small emitter in a shade
+# that lets half of its light through. A plate is below both.
 @pytest.mark.slow
-def test_light_paths_and_camera_paths_agree_behind_glass(mi, tmp_path):
-    """A large lamp, for which Mitsuba's distance of rays from surfaces is small."""
+@pytest.mark.parametrize(
+    ("shapes", "plate", "most"),
+    [
+        ((sphere("lamp", 20, inside=AREA), sphere("glass", 50, inside=GLASS)), (60, -55), 0.01),
+        ((sphere("lamp", 1, inside=AREA), sphere("shade", 10, inside=MASK)), (30, -20), 0.06),
+    ],
+    ids=["glass", "alpha mask"],
+)
+def test_light_paths_and_camera_paths_agree(mi, tmp_path, shapes, plate, most):
     from lumitree.trace.flux import estimate_flux
     from support.camera_flux import flux_by_camera_paths
 
-    shapes = sphere("lamp", 20, inside=AREA), sphere("glass", 50, inside=GLASS)
-    (tmp_path / "lamp.xml").write_text(scene(*shapes, cube("plate", (60, 1, 60), (0, -55, 0))))
-    lamp = load_luminaire(tmp_path / "lamp.xml")
+    half, y = plate
+    lamp = lamp_of(tmp_path, *shapes, cube("plate", (half, 1, half), (0, y, 0)))
     light, seen = estimate_flux(lamp, 1 << 20), flux_by_camera_paths(lamp, 1 << 21)
     error = np.hypot(light.watts_error, seen.watts_error)
     assert (np.abs(np.subtract(light.watts, seen.watts)) < 4 * error).all()
-    assert (error < 0.01 * np.array(light.watts)).all()
-
-
-@pytest.mark.slow
-def test_light_paths_and_camera_paths_agree_behind_an_alpha_mask(mi, tmp_path):
-    """A small emitter in a shade that lets half of its light through, above a plate."""
-    from lumitree.trace.flux import estimate_flux
-    from support.camera_flux import flux_by_camera_paths
-
-    mask = '<bsdf type="mask"><float name="opacity" value="0.5"/><bsdf type="diffuse"/></bsdf>'
-    shapes = sphere("lamp", 1, inside=AREA), sphere("shade", 10, inside=mask)
-    (tmp_path / "lamp.xml").write_text(scene(*shapes, cube("plate", (30, 1, 30), (0, -20, 0))))
-    lamp = load_luminaire(tmp_path / "lamp.xml")
-    light, seen = estimate_flux(lamp, 1 << 20), flux_by_camera_paths(lamp, 1 << 21)
-    error = np.hypot(light.watts_error, seen.watts_error)
-    assert (np.abs(np.subtract(light.watts, seen.watts)) < 4 * error).all()
-    assert (error < 0.06 * np.array(light.watts)).all()
+    assert (error < most * np.array(light.watts)).all()
 
 
 @pytest.mark.slow
@@ -111,8 +103,8 @@ def test_bounces_that_are_cut_off_are_missed(mi, tmp_path):
     nothing = '<bsdf type="dielectric"><float name="int_ior" value="1"/>'
     nothing += '<float name="ext_ior" value="1"/></bsdf>'
     shells = [sphere(f"shell{i}", 1 + 0.1 * i, inside=nothing) for i in range(1, 7)]
-    (tmp_path / "lamp.xml").write_text(scene(sphere("lamp", 1, inside=AREA), *shells))
-    missed = missed_by_depth(load_luminaire(tmp_path / "lamp.xml"), 1, (4, 8), 12)
+    lamp = lamp_of(tmp_path, sphere("lamp", 1, inside=AREA), *shells)
+    missed = missed_by_depth(lamp, 1, (4, 8), 12)
     assert [each.path_depth for each in missed] == [4, 8]
     assert missed[0].share == 1
     assert 0 < missed[0].error < 0.01

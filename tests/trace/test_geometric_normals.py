@@ -8,7 +8,7 @@ from lumitree.lamp.luminaire import load_luminaire
 from lumitree.trace.flux import estimate_flux
 from lumitree.trace.light_paths import trace_light
 from support.camera_flux import flux_by_camera_paths
-from support.lamps import AREA, scene, sphere
+from support.lamps import AREA, lamp_of, scene, sphere
 
 BSDFS = ("diffuse", "principled", "roughconductor")
 
@@ -71,9 +71,7 @@ def test_light_paths_and_camera_paths_of_an_open_shade_agree(mi, tmp_path):
         '<shape type="ply"><string name="filename" value="shade.ply"/>'
         f'<bsdf type="twosided">{bsdf}</bsdf></shape>'
     )
-    path = tmp_path / "lamp.xml"
-    path.write_text(scene(sphere("bulb", 0.2, inside=AREA) + mesh))
-    lamp = load_luminaire(path)
+    lamp = lamp_of(tmp_path, sphere("bulb", 0.2, inside=AREA) + mesh)
     lights = estimate_flux(lamp, 1 << 20)
     tracer = mi.load_dict({"type": "lumitree_path", "max_depth": 64})
     seen = flux_by_camera_paths(lamp, 1 << 22, integrator=tracer)

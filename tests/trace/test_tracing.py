@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from lumitree.lamp.luminaire import load_luminaire
 from lumitree.rendering.scene import place_shapes
 from lumitree.trace.cameras import path_integrator
-from support.lamps import AREA, cube, lamp_of, scene, sphere
+from support.lamps import AREA, cube, lamp_of, sphere
 
 LAMP = (
     '<shape type="sphere" id="lamp"><point name="center" x="9" y="0" z="3"/>'
@@ -24,8 +23,7 @@ def load(tmp_path, sigma_t, albedo="0", scale=1):
         f'<rgb name="sigma_t" value="{sigma_t}"/><rgb name="albedo" value="{albedo}"/>'
         "</medium></shape>"
     )
-    (tmp_path / "lamp.xml").write_text(scene(slab, LAMP))
-    return load_luminaire(tmp_path / "lamp.xml")
+    return lamp_of(tmp_path, slab, LAMP)
 
 
 def looked_through(mi, tmp_path, luminaire, count=1 << 16):
@@ -64,8 +62,7 @@ def test_next_event_estimation_crosses_masks(mi, tmp_path):
     mask = '<bsdf type="mask"><float name="opacity" value="0.5"/><bsdf type="diffuse"/></bsdf>'
     plate = cube("plate", (3, 0.1, 3), (0, -2, 0))
     shapes = sphere("lamp", 0.05, inside=emitter), sphere("shade", 1, inside=mask), plate
-    (tmp_path / "lamp.xml").write_text(scene(*shapes))
-    lamp = load_luminaire(tmp_path / "lamp.xml")
+    lamp = lamp_of(tmp_path, *shapes)
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(3, 1 << 14)
     at = mi.Point2f(2, 0) + 0.1 * sampler.next_2d()
@@ -86,8 +83,7 @@ def test_media_are_not_told_by_names(mi, tmp_path):
         '<shape type="sphere" id="a_medium.albedo."><bsdf type="diffuse">'
         '<rgb name="reflectance" value="0.5"/></bsdf></shape>'
     )
-    (tmp_path / "lamp.xml").write_text(scene(slab, surface, LAMP))
-    integrator = path_integrator(load_luminaire(tmp_path / "lamp.xml"), 32)
+    integrator = path_integrator(lamp_of(tmp_path, slab, surface, LAMP), 32)
     assert str(integrator).startswith("VolumetricMisPath")
 
 
