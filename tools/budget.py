@@ -24,7 +24,7 @@ LINES = {
     "formats": 4_100,
     "lamp": 10_379,
     "many": 620,
-    "measure": 6_655,
+    "measure": 6_855,
     "octree": 1_050,
     "rendering": 9_960,
     "trace": 1_900,
@@ -32,7 +32,7 @@ LINES = {
 }
 FILES = 220
 OTHERS = {
-    "lines of tests": 43_400,
+    "lines of tests": 43_450,
     "lines of benchmarks": 10_000,
     "words of docs by hand": 45_000,
     "lines of README.md": 90,

@@ -142,6 +142,11 @@ def test_slopes_are_central_differences(mi, axis):
         ({"move": {"even": "up"}}, "move has 'up'"),
         ({"watts": {"other": 3}}, "watts 'other' matches no lamp"),
         ({"placements": []}, "there are no lamps"),
+        (
+            {"placements": [lumitree.Placement("arc", (0, 2, 0))]},
+            "arc cannot be dimmed as explicit geometry; bake it",
+        ),
+        ({"region": (90, 0, 90, 99, 3, 99)}, "region is .*, outside of the scene"),
     ],
 )
 def test_wrong_arguments_are_refused(mi, even, options, message):
@@ -265,6 +270,29 @@ def test_direct_illuminance_has_derivatives_by_the_pose(mi):
     dr.backward(found)
     expected = (float(high[0]) - float(low[0])) / 0.02
     assert float(dr.grad(x)[0]) == pytest.approx(expected, rel=0.01)
+
+
+def test_moved_lamps_light_as_lamps_of_another_scene_do(mi, even):
+    from lumitree.measure.illuminance import LitScene
+    from lumitree.measure.receivers import collect
+
+    planes = [lumitree.TaskPlane((0.2, 0, 0.1), extent=(2, 1), spacing=0.5)]
+    first = [lumitree.Placement(uneven(), (x, 2, 0.2), 0.3, lumens=2000) for x in (-1, 1)]
+    there = [
+        dataclasses.replace(first[0], at=(0.4, 1.5, 0), rotate=(1, 1, 0, 40)),
+        dataclasses.replace(first[1], lumens=500, at=(-0.5, 2, 0.5)),
+    ]
+    areas = collect(planes, (), (), None, None, 0)
+    lit = LitScene(mi.load_dict(ROOM), "room", first, areas, "m", by_lamp=True)
+    lit.move(there)
+    found = lit.estimate(0.01, None, 5)
+    expected = lumitree.illuminance(ROOM, there, planes=planes, by_lamp=True, error=0.01, seed=5)
+    assert found.by_lamp.direct == pytest.approx(expected.by_lamp.direct, rel=0.02, abs=1e-3)
+    some = np.array([1, 4])
+    again = lit.again(found, some, 0.005, None, 6)
+    same = np.setdiff1d(np.arange(len(found.total)), some)
+    assert (again.total == found.total).tolist() == [each in same for each in range(8)]
+    assert again.total == pytest.approx(found.total, rel=0.02)
 
 
 def test_a_lamp_that_is_off_does_not_move(mi, even):

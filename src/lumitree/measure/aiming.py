@@ -37,7 +37,7 @@ _GROW, _SHRINK, _LEAST = 1.5, 0.4, 0.05
 # A round that saves less ends the search.
 _SAVED = 2e-3
 # Random points of a cell, for the light of lamps and for its derivatives.
-_SAMPLES, _SLOPE_SAMPLES = 4, 1
+_SAMPLES, _SLOPE_SAMPLES = 2, 1
 # Limits of no steps.
 _NOWHERE = np.zeros(0)
 _Array = NDArray[np.float64]
@@ -124,7 +124,7 @@ class Aim:
         lamps: all lamps, where they are at first.
         axes: [L, 6] whether each may move along, and turn about, x, y and z of the scene.
         region: [2, 3] corners of the box in which the boxes of lamps stay, scene.
-        simulate: called with the lamps and the number of a round; returns the illuminance by lamp.
+        simulate: called with the lamps; returns the illuminance by lamp.
         seed: root seed.
     """
 
@@ -133,7 +133,7 @@ class Aim:
     axes: NDArray[np.bool_]
     region: _Array
     dimmers: Dimmers
-    simulate: Callable[[Sequence[Placement], int], IlluminanceResult]
+    simulate: Callable[[Sequence[Placement]], IlluminanceResult]
     seed: int
 
     def search(self, start: IlluminanceResult) -> tuple[list[Placement], IlluminanceResult]:
@@ -147,7 +147,7 @@ class Aim:
             poses = best if model is None else self._improved(model, best, trust)
             if poses is best and model is not None:
                 break
-            found = self.simulate(self._at(poses), number) if number else start
+            found = self.simulate(self._at(poses)) if number else start
             tasks = tasks_of(self.planes, found)
             cost, *_ = best_step(tasks, self.dimmers, _NOWHERE, _NOWHERE)
             gained = least - cost

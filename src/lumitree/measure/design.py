@@ -1,6 +1,8 @@
 """From lux to lamps: dim levels and places of lamps for the illuminance that planes need."""
 
 import dataclasses
+import functools
+import itertools
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -13,7 +15,7 @@ from lumitree.core.arguments import check_count, check_items, check_range, metre
 from lumitree.core.backend import in_turn, load_rgb
 from lumitree.core.files import FilePath, write_bytes, write_json
 from lumitree.core.photometry import luminance
-from lumitree.core.progress import ProgressCallback, show_progress
+from lumitree.core.progress import ProgressCallback, reporting, show_progress
 from lumitree.core.results import Result, Stopwatch
 from lumitree.core.seeds import MAX_SEED, Purpose, SeedStream, check_seed
 from lumitree.errors import LumitreeError, LumitreeWarning, explained, shown, shown_names
@@ -24,18 +26,22 @@ from lumitree.measure.dimming import (
     dim_levels,
     equal_level,
     reachable,
+    sharpened,
     tasks_of,
 )
 from lumitree.measure.illuminance import (
     IlluminanceResult,
+    LitScene,
+    check_errors,
     check_illuminance_output,
-    illuminance,
 )
-from lumitree.measure.receivers import AreaFigures
+from lumitree.measure.receivers import AreaFigures, Receivers, collect
 from lumitree.rendering.placement import Placement, write_placements
 from lumitree.rendering.render import layer_names
 
 if TYPE_CHECKING:
+    import mitsuba as mi
+
     from lumitree.measure.figures import Plan
 
 OUTPUTS = (".toml", ".json", ".png", ".pdf")
@@ -45,6 +51,8 @@ _MISSED = 0.98
 # Most lamps of `count`, longer over shorter side of a cell of its grid, and least part of the
 # targets by which the next number is estimated.
 _MAX_COUNT, _LONGEST, _LEAST_PART = 256, 2.0, 0.25
+# Multiple of the error that is enough between moves of lamps.
+_ROUGH = 2.0
 # Range of `brightest`: a lamp is dimmed, or replaced by a brighter one.
 _BRIGHTEST = 1e-3, 1e3
 
@@ -204,7 +212,8 @@ def design(
             on or off.
         margin: standard errors by which each point keeps away from its limits, 0 to 10. Without,
             the least illuminance is too small by about the error of the points that have it.
-        error: standard error of the illuminance of each point, as for `illuminance`.
+        error: standard error of the illuminance of each point, as for `illuminance`; a third of it
+            where a plane has its limits.
         time: limit of each simulation, s, as for `illuminance`.
         unit: unit of length of the scene, as for `illuminance`.
         seed: root seed of all random numbers, 0 to 2³¹ - 1.
@@ -234,6 +243,7 @@ def design(
     if steps is not None:
         check_count("steps", steps, 1, _MAX_STEPS)
     check_range("margin", margin, 0, 10)
+    check_errors(error, time)
     if region is not None and not (np.array(region[:3]) <= region[3:]).all():
         raise LumitreeError(
             f"region is {shown(region, 100)}; expected its smallest x, y, z before its largest"
@@ -243,55 +253,71 @@ def design(
         raise LumitreeError("no plane has a target; give one its target or its minimum, in lux")
     lamps = _named(placements)
     labels = [str(lamp.label) for lamp in lamps]
-    if not lamps or not all(lamp.is_baked for lamp in lamps):
+    if not lamps:
+        raise LumitreeError("there are no lamps to dim; place one")
+    if explicit := [lamp.name for lamp in lamps if not lamp.is_baked]:
         raise LumitreeError(
-            "there are no lamps, or explicit ones, which cannot be dimmed; place baked lamps or "
-            "photometric files"
+            f"{shown_names(sorted(set(explicit)))} cannot be dimmed as explicit geometry; bake it "
+            "first, and place the asset"
         )
     if count and (len(lamps) != 1 or lamps[0].at is None):
         raise LumitreeError("count is for one lamp; place one, and say by at how high it hangs")
     load_rgb(variant)
     from lumitree.measure.aiming import Aim
-    from lumitree.rendering.scene import load_without_camera, open_placements
+    from lumitree.rendering.scene import load_without_camera, scene_title
 
-    metres = metres_of(unit)
-    options: dict[str, Any] = {"planes": planes, "error": error, "time": time, "unit": unit}
-    options |= {"variant": variant, "progress": progress}
+    metres_of(unit)
+    title = scene_title(scene)
+    seeds = iter(
+        SeedStream(Purpose.DESIGN, draw=1).seed(seed, n) & MAX_SEED for n in itertools.count()
+    )
     watch = Stopwatch()
-    with watch.stage("lamps"):
-        room, _ = load_without_camera(scene)
+    with reporting(progress):
+        with watch.stage("lamps"):
+            room, _ = load_without_camera(scene)
+            receivers = collect(planes, (), (), None, None, seed)
+            box = _region(region, room, receivers, lamps, count)
 
-        def simulate(lamps: Sequence[Placement], number: int = 0) -> IlluminanceResult:
-            root = SeedStream(Purpose.DESIGN, number).seed(seed) & MAX_SEED
-            return illuminance(room, lamps, **options, by_lamp=True, seed=root)
+            def lit(lamps: Sequence[Placement]) -> LitScene:
+                return LitScene(room, title, lamps, receivers, unit, by_lamp=True)
 
-        if count:
-            points = np.concatenate([plane.points()[0] for plane in planes])
-            box = [points.min(axis=0), points.max(axis=0)] if region is None else region
-            box = np.array(box, np.float64).reshape(2, 3)
-            lamps = _counted(lamps[0], box, planes, simulate, brightest)
-            labels = [str(lamp.label) for lamp in lamps]
-        groups = np.unique(_groups(labels, group), return_inverse=True)[1]
-        axes = _axes(labels, move or {}, turn, free)
-        opened = open_placements(lamps, metres)
-        lumens = np.array([float(luminance(each.watts)) for each in opened])
-        cost = lumens if watts is None else _powers(watts, labels)
-        dimmers = Dimmers(groups, cost, brightest, steps)
-        found = before = simulate(lamps)
-    if axes.any():
-        with watch.stage("places"), warnings.catch_warnings():
-            # The last simulation warns of what is left.
-            warnings.simplefilter("ignore", LumitreeWarning)
-            sides = (room.bbox().min, room.bbox().max) if region is None else region
-            box = np.array(sides, np.float64).reshape(2, 3)
-            lamps, found = Aim(planes, opened, axes, box, dimmers, simulate, seed).search(before)
-    with watch.stage("levels"):
-        tasks = tasks_of(planes, found)
-        levels = dimmers.rounded(dim_levels(tasks, dimmers, margin))
-    with watch.stage("simulation"):
-        placed = [lamp.dimmed(level) for lamp, level in zip(lamps, levels.tolist(), strict=True)]
-        again = SeedStream(Purpose.DESIGN, draw=1).seed(seed) & MAX_SEED
-        after = illuminance(room, placed, **options, seed=again)
+            if count:
+
+                def simulate(lamps: Sequence[Placement]) -> IlluminanceResult:
+                    return lit(lamps).estimate(error, time, next(seeds), plans=False)
+
+                lamps = _counted(lamps[0], box, planes, simulate, brightest)
+                labels = [str(lamp.label) for lamp in lamps]
+            groups = np.unique(_groups(labels, group), return_inverse=True)[1]
+            axes = _axes(labels, move or {}, turn, free)
+            whole = lit(lamps)
+            lumens = np.array([float(luminance(each.watts)) for each in whole.placed])
+            cost = lumens if watts is None else _powers(watts, labels)
+            dimmers = Dimmers(groups, cost, brightest, steps)
+            found = before = whole.estimate(error, time, next(seeds))
+        if axes.any():
+
+            def moved(lamps: Sequence[Placement]) -> IlluminanceResult:
+                whole.move(lamps)
+                rough = min(_ROUGH * error, 1.0)
+                return whole.estimate(rough, time, next(seeds), plans=False)
+
+            with watch.stage("places"):
+                aim = Aim(planes, whole.placed, axes, box, dimmers, moved, seed)
+                lamps, found = aim.search(before)
+                whole.move(lamps)
+        sharper = functools.partial(sharpened, whole, planes, error, time, seeds)
+        with watch.stage("levels"):
+            _, tasks, levels = sharper(
+                found, lambda tasks: dimmers.rounded(dim_levels(tasks, dimmers, margin))
+            )
+        with watch.stage("simulation"):
+            placed = [
+                lamp.dimmed(level) for lamp, level in zip(lamps, levels.tolist(), strict=True)
+            ]
+            whole.move(placed)
+            after = whole.estimate(error, time, next(seeds))
+            after, *_ = sharper(after, lambda _: np.ones(len(levels)))
     for task, new in zip(tasks, after.areas, strict=True):
         if new.mean < _MISSED * task.plane.target:
             warnings.warn(
@@ -320,6 +346,31 @@ def design(
         after=after,
         **watch.costs(),
     )
+
+
+def _region(
+    region: Sequence[float] | None,
+    room: "mi.Scene",
+    areas: Sequence[Receivers],
+    lamps: Sequence[Placement],
+    count: bool,
+) -> NDArray[np.float64]:
+    """Corners [2, 3] of the box for lamps: by default the room's, or of all points for `count`."""
+    scene = np.array([room.bbox().min, room.bbox().max], np.float64).reshape(2, 3)
+    points = np.concatenate([area.points for area in areas])
+    if region is None:
+        return np.array([points.min(axis=0), points.max(axis=0)]) if count else scene
+    box = np.array(region, np.float64).reshape(2, 3)
+    places = [lamp.at for lamp in lamps if lamp.at is not None]
+    known = np.concatenate([scene, points, np.reshape(places, (-1, 3))])
+    low, high = known.min(axis=0), known.max(axis=0)
+    if (box[0] > high).any() or (box[1] < low).any():
+        low, high = (", ".join(f"{x:.4g}" for x in corner) for corner in (low, high))
+        raise LumitreeError(
+            f"region is {shown(region, 100)}, outside of the scene; the scene, its planes and its "
+            f"lamps are between {low} and {high}"
+        )
+    return box
 
 
 def _named(placements: Sequence[Placement]) -> list[Placement]:

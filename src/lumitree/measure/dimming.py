@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import dataclasses
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -27,7 +27,7 @@ from lumitree.errors import LumitreeError, LumitreeWarning, shown
 from lumitree.measure.receivers import AreaFigures, Plane
 
 if TYPE_CHECKING:
-    from lumitree.measure.illuminance import IlluminanceResult
+    from lumitree.measure.illuminance import IlluminanceResult, LitScene
 
 # Rounds in which the errors follow the levels.
 _ROUNDS = 4
@@ -36,8 +36,9 @@ _LACK = 10.0
 # Levels in steps are optimal within this part of their cost.
 _GAP = 2e-3
 _NODES = 20_000
-# Halvings of the interval in which the largest uniformity is searched for.
-_HALVINGS = 12
+# Standard errors by which a point may be off; rounds in which points at a limit get other samples,
+# and part of the error that is then enough.
+_DOUBT, _SHARPER, _SHARP = 2.0, 4, 1 / 3
 # Levels below this part of the brightest are the solver's zeros.
 _LEAST = 1e-9
 # So large a part of the targets is all of them.
@@ -103,6 +104,14 @@ class Task:
         """[N] standard errors of `lux`."""
         return np.sqrt(self.variance @ levels**2)
 
+    def unsure(self, levels: _Array) -> NDArray[np.int64]:
+        """Which of all points may have the least illuminance, or the most if that has a limit."""
+        lux, error = self.lux(levels), _DOUBT * self.error(levels)
+        found = lux - error <= (lux + error).min()
+        if self.plane.maximum is not None:
+            found |= lux + error >= (lux - error).max()
+        return self.points[found]
+
     def figures(self, area: AreaFigures, levels: _Array) -> AreaFigures:
         """Figures of the plane at dim levels [L]; `area` has the numbers of its points."""
         lux, error = np.full((2, area.count), np.nan)
@@ -150,6 +159,42 @@ def tasks_of(planes: Sequence[TaskPlane], result: IlluminanceResult) -> list[Tas
         of_lamps = (np.array(each)[:, known].T for each in (light, variance))
         tasks.append(Task(area.name, plane, known, fixed[known], *of_lamps))
     return tasks
+
+
+def sharpened(
+    scene: LitScene,
+    planes: Sequence[TaskPlane],
+    error: float,
+    time: float | None,
+    seeds: Iterator[int],
+    result: IlluminanceResult,
+    levels_of: Callable[[list[Task]], _Array],
+) -> tuple[IlluminanceResult, list[Task], _Array]:
+    """A result, its tasks and its dim levels, with smaller errors where a plane has its minimum.
+
+    The least of many noisy points is too small by about their error, and after an optimisation the
+    points at a limit are the points that are estimated too bright. With new samples they are not.
+
+    Args:
+        scene: with the lamps where they are in the result.
+        planes: the planes of the tasks.
+        error, time: as of the result.
+        seeds: of other samples.
+        result: illuminance of the planes by lamp.
+        levels_of: returns dim levels for tasks.
+    """
+    sharp = np.zeros(len(result.total), bool)
+    for _ in range(_SHARPER):
+        tasks = tasks_of(planes, result)
+        levels = levels_of(tasks)
+        unsure = np.unique(np.concatenate([task.unsure(levels) for task in tasks]))
+        unsure = unsure[~sharp[unsure]]
+        if not len(unsure):
+            return result, tasks, levels
+        sharp[unsure] = True
+        result = scene.again(result, unsure, max(error * _SHARP, 1e-4), time, next(seeds))
+    tasks = tasks_of(planes, result)
+    return result, tasks, levels_of(tasks)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -340,15 +385,9 @@ def _shortage(tasks: Sequence[Task], dimmers: Dimmers) -> str:
         if most < _ALL:
             parts.append(f"{name} gets at most {_amounts(plane, most)}")
         else:
-            ratio, high = 0.0, plane.uniformity
-            for _ in range(_HALVINGS):
-                middle = (ratio + high) / 2
-                uneven = dataclasses.replace(plane, uniformity=middle)
-                possible = reachable([dataclasses.replace(task, plane=uneven)], dimmers) >= _ALL
-                ratio, high = (middle, high) if possible else (ratio, middle)
             parts.append(
                 f"{name} gets at most {_amounts(plane, part)} with the uniformity "
-                f"{plane.uniformity:g}, or all of it with the uniformity {ratio:.2g}"
+                f"{plane.uniformity:g}, or all of it with a smaller one"
             )
     if parts:
         return f"the targets cannot be reached: {'; '.join(parts)}"

@@ -32,6 +32,8 @@ from lumitree.rendering.placement import Placement
 from lumitree.rendering.render import layer_names
 
 if TYPE_CHECKING:
+    import mitsuba as mi
+
     from lumitree.measure.figures import Plan
     from lumitree.measure.floor_plan import FloorPlan
     from lumitree.rendering.integrator import PathScene
@@ -217,21 +219,11 @@ def illuminance(
     ):
         check_items(name, values, kind)
     placements = [lamp for placement in placements for lamp in placement.each()]
-    check_range("error", error, 1e-4, 1)
-    if time is not None:
-        check_range("time", time, 1e-3, 1e7)
+    check_errors(error, time)
     check_seed(seed)
-    metres = metres_of(unit)
+    metres_of(unit)
     load_rgb(variant)
-    from lumitree.measure.floor_plan import floor_plan
-    from lumitree.measure.illuminance_estimate import estimate
-    from lumitree.rendering.scene import (
-        load_without_camera,
-        open_placements,
-        place_luminaires,
-        placed_ids,
-        scene_title,
-    )
+    from lumitree.rendering.scene import load_without_camera, scene_title
 
     watch = Stopwatch()
     with reporting(progress):
@@ -240,51 +232,162 @@ def illuminance(
             room, shapes = load_without_camera(scene)
             chosen = [chosen_shapes(each, room, shapes, title) for each in surfaces]
             areas = collect(planes, surfaces, chosen, points, normals, seed)
-            placed = open_placements(placements, metres)
-            _warn_of_glass(placed)
-            whole = place_luminaires(room, placed, appearance="geometry")
-            position = np.concatenate([area.points for area in areas])
-            normal = np.concatenate([area.normals for area in areas])
-            _light_boxes(whole, position)
-            names = layer_names(placements)
-            if by_lamp:
-                _check_parts(len(placements), len(position))
-            paths = _paths(whole, title, placed_ids(placed) if by_lamp else None)
-            floors = [area.plane and floor_plan(area.plane, room, placed) for area in areas]
+            lit = LitScene(room, title, placements, areas, unit, by_lamp)
         with watch.stage("estimate"):
-            found = estimate(
-                paths,
-                position,
-                normal,
-                error=error,
-                seconds=time,
-                reflected=not direct,
-                seed=seed,
-            )
-    figures, first = [], 0
-    for area in areas:
-        part = slice(first, first + len(area.points))
-        figures.append(AreaFigures.of(area.name, first, found.total[part], found.total_error[part]))
-        first = part.stop
-        if figures[-1].enclosed == figures[-1].count:
+            result = lit.estimate(error, time, seed, reflected=not direct)
+    for area in result.areas:
+        if area.enclosed == area.count:
             warnings.warn(
                 f"all points of {shown(area.name, 200)} are inside solids, or outside of the room; "
                 "look at its position, and at the unit of the scene",
                 LumitreeWarning,
                 stacklevel=2,
             )
-    return IlluminanceResult(
-        unit=unit,
-        areas=figures,
-        direct_only=direct,
-        position=position,
-        normal=normal / np.linalg.norm(normal, axis=1)[:, None],
-        receivers=areas,
-        floors=floors,
-        by_lamp=None if found.by_lamp is None else LampIlluminance(names, *found.by_lamp),
-        **{name: getattr(found, name) for name in _FOUND},
-        **watch.costs(),
-    )
+    return dataclasses.replace(result, **watch.costs())
+
+
+def check_errors(error: float, time: float | None) -> None:
+    """Refuse the options of `illuminance` that limit samples, if they are out of range."""
+    check_range("error", error, 1e-4, 1)
+    if time is not None:
+        check_range("time", time, 1e-3, 1e7)
+
+
+class LitScene:
+    """A scene with lamps, and receivers whose illuminance is estimated; the lamps may be moved.
+
+    Args:
+        room: mi.Scene without the lamps.
+        title: of the scene, for messages.
+        placements: the lamps, each by itself.
+        areas: the receivers.
+        unit: of length of the scene.
+        by_lamp: whether the part of each lamp is estimated, too.
+    """
+
+    def __init__(
+        self,
+        room: "mi.Scene",
+        title: str,
+        placements: Sequence[Placement],
+        areas: list[Receivers],
+        unit: float | str,
+        by_lamp: bool,
+    ) -> None:
+        from lumitree.rendering.scene import open_placements, place_luminaires, placed_ids
+
+        self._room, self._title, self._areas, self._unit = room, title, areas, unit
+        self.placed = open_placements(placements, metres_of(unit))
+        _warn_of_glass(self.placed)
+        self._scene = place_luminaires(room, self.placed, appearance="geometry")
+        self._points = np.concatenate([area.points for area in areas])
+        self._normals = np.concatenate([area.normals for area in areas])
+        if by_lamp:
+            _check_parts(len(placements), len(self._points))
+        self._ids = placed_ids(self.placed) if by_lamp else None
+        self._names = layer_names(placements)
+        self._light()
+
+    def _light(self) -> None:
+        _light_boxes(self._scene, self._points)
+        self._paths = _paths(self._scene, self._title, self._ids)
+
+    def move(self, placements: Sequence[Placement]) -> None:
+        """Place the same lamps, which are baked, elsewhere, or with other brightness."""
+        from lumitree.rendering.emitter import lamp_of
+        from lumitree.rendering.scene import placed_ids
+
+        lamps = [each for each in self._scene.emitters() if lamp_of(each) is not None]
+        emitters = {each.get_shape().id(): each for each in lamps}
+        # The scene's own acceleration structure is of no use here, and is not built again.
+        self.placed = [
+            placed.moved(emitters[f"{start}proxy"], placement)
+            for start, placed, placement in zip(
+                placed_ids(self.placed), self.placed, placements, strict=True
+            )
+        ]
+        self._light()
+
+    def estimate(
+        self,
+        error: float,
+        seconds: float | None,
+        seed: int,
+        *,
+        reflected: bool = True,
+        plans: bool = True,
+    ) -> IlluminanceResult:
+        """The illuminance of all receivers.
+
+        Args:
+            error, seconds, reflected, seed: as of `illuminance_estimate.estimate`.
+            plans: whether plans show the room.
+        """
+        from lumitree.measure.floor_plan import floor_plan
+        from lumitree.measure.illuminance_estimate import estimate
+
+        found = estimate(
+            self._paths,
+            self._points,
+            self._normals,
+            error=error,
+            seconds=seconds,
+            reflected=reflected,
+            seed=seed,
+        )
+        planes = [area.plane if plans else None for area in self._areas]
+        return IlluminanceResult(
+            unit=self._unit,
+            areas=_figures(self._areas, found.total, found.total_error),
+            direct_only=not reflected,
+            position=self._points,
+            normal=self._normals / np.linalg.norm(self._normals, axis=1)[:, None],
+            receivers=self._areas,
+            floors=[plane and floor_plan(plane, self._room, self.placed) for plane in planes],
+            by_lamp=None if found.by_lamp is None else LampIlluminance(self._names, *found.by_lamp),
+            **{name: getattr(found, name) for name in _FOUND},
+            **Stopwatch().costs(),
+        )
+
+    def again(
+        self,
+        result: IlluminanceResult,
+        index: NDArray[np.int64],
+        error: float,
+        seconds: float | None,
+        seed: int,
+    ) -> IlluminanceResult:
+        """A result of `estimate` by lamp, in which receivers of an index have other samples."""
+        from lumitree.measure.illuminance_estimate import estimate
+
+        points, normals = self._points[index], self._normals[index]
+        options = {"error": error, "seconds": seconds, "seed": seed, "reflected": True}
+        found = estimate(self._paths, points, normals, **options)
+        assert result.by_lamp is not None
+        assert found.by_lamp is not None
+        values = {name: getattr(result, name).copy() for name in _FOUND}
+        for name in _FOUND:
+            values[name][index] = getattr(found, name)
+        parts = np.stack(result.by_lamp.arrays)
+        parts[..., index] = found.by_lamp
+        return dataclasses.replace(
+            result,
+            areas=_figures(self._areas, values["total"], values["total_error"]),
+            by_lamp=LampIlluminance(self._names, *parts),
+            **values,
+        )
+
+
+def _figures(
+    areas: Sequence[Receivers], lux: NDArray[np.float64], error: NDArray[np.float64]
+) -> list[AreaFigures]:
+    """Figures of each area, from the illuminance of all receivers and the standard errors."""
+    found, first = [], 0
+    for area in areas:
+        part = slice(first, first + len(area.points))
+        found.append(AreaFigures.of(area.name, first, lux[part], error[part]))
+        first = part.stop
+    return found
 
 
 def check_illuminance_output(path: FilePath, endings: Sequence[str] = OUTPUTS) -> None:

@@ -58,7 +58,7 @@ from lumitree.trace import medium_paths
 from lumitree.trace.spawning import spawn
 
 # Samples that are computed at once, their values by group of emitters, and samples of a receiver in
-# a pass.
+# a pass: at most this number, or half as many as it has, so that few receivers need few passes.
 _AT_ONCE, _MAX_BY_GROUP = 1 << 20, 1 << 24
 _MIN_SAMPLES, _MAX_SAMPLES = 64, 4096
 # Samples of a receiver that the first coefficients are estimated with; they are not used further.
@@ -70,8 +70,8 @@ _SUMS, _MAX_SUMS, _SUM_PART = 16, 1 << 10, 0.3
 # A dark receiver is inside a solid if this part of its rays ends at backs of surfaces. Some may
 # not: a face of a solid may lie in a face of another, as the back of a cupboard in a wall.
 _ENCLOSED = 0.1
-# Passes in which light is searched for at such a receiver before it counts as inside.
-_SEARCHES = 16
+# Samples in which light is searched for at such a receiver before it counts as inside.
+_SEARCH = 1 << 12
 # Events seen fewer than `_FEW` times have no usable variance estimate. A dark receiver gets
 # `_UNSEEN` samples or more, and so do all receivers together while there is no light that is not
 # summed; no receiver gets more than `_MAX_UNSEEN` samples for an event that was not seen.
@@ -334,7 +334,7 @@ def estimate(
         shadows.add(index, drawn)
     left, samples, share = everyone, _MIN_SAMPLES, 0.0
     largest, by_samples = np.zeros((groups, count)), np.zeros((groups, count), bool)
-    unsure = np.zeros(count)
+    unsure, inside, searched = np.zeros(count), np.zeros(count, bool), False
     with progress("illuminance", 1.0) as advance:
         while len(left):
             for index in _chunks(left, samples, groups):
@@ -370,8 +370,12 @@ def estimate(
                 enough &= np.max(parts, axis=0) <= np.minimum(goal, (error * level) ** 2)
             # Samples for doubt are limited.
             enough |= (sampled <= goal) & (number >= _MAX_UNSEEN)
-            left = np.flatnonzero(~enough & ~lost)
-            part = np.where(lost, 1, _ratio(goal, np.maximum(goal, variance)))
+            if not searched:
+                # After the first pass: else they would get the most samples of all.
+                dark, searched = np.flatnonzero(total.mean == 0), True
+                inside[dark] = sampler.enclosed(dark)
+            left = np.flatnonzero(~enough & ~lost & ~inside)
+            part = np.where(lost | inside, 1, _ratio(goal, np.maximum(goal, variance)))
             done = float(part.mean())
             spent = time.perf_counter() - start
             if seconds is not None:
@@ -380,12 +384,11 @@ def estimate(
                     left = left[:0]
             advance(max(0.0, done - share), f"{len(left):,} points left")
             share = max(share, done)
-            samples = int(np.clip(_AT_ONCE // max(len(left), 1), _MIN_SAMPLES, _MAX_SAMPLES))
+            most = max(_MAX_SAMPLES, int(number[left].min(initial=_AT_ONCE)) // 2)
+            samples = int(np.clip(_AT_ONCE // max(len(left), 1), _MIN_SAMPLES, most))
     # Samples share the error of S.
     shared = (largest**2 * summed_variance).sum(axis=0) + shadows.doubt(summed.sum(axis=0))
-    dark = np.flatnonzero(total.mean == 0)
-    unknown_inside = np.ones(count)
-    unknown_inside[dark[sampler.enclosed(dark)]] = np.nan
+    unknown_inside = np.where(inside, np.nan, 1)
     by_lamp = None
     if lamps is not None:
         of_lamps = largest**2 * summed_variance + shadows.doubt(summed)
@@ -449,10 +452,9 @@ class _Sampler:
         found = np.zeros(len(index), bool)
         for part in _chunks(np.arange(len(index)), _MIN_SAMPLES):
             found[part] = self._behind(index[part]) > _ENCLOSED
-        for _ in range(_SEARCHES):
-            for part in _chunks(np.flatnonzero(found), _MIN_SAMPLES, self._groups):
-                drawn = self.draw(index[part], _MIN_SAMPLES, reflected=True)
-                found[part] = ~((drawn.t > 0) | (drawn.r > 0)).any(axis=1)
+        for part in _chunks(np.flatnonzero(found), _SEARCH, self._groups):
+            drawn = self.draw(index[part], _SEARCH, reflected=True)
+            found[part] = ~((drawn.t > 0) | (drawn.r > 0)).any(axis=1)
         return found
 
     def _behind(self, index: NDArray[np.int64]) -> _Array:

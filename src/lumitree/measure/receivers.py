@@ -266,6 +266,11 @@ class LampIlluminance:
     reflected: NDArray[np.float64]
     reflected_error: NDArray[np.float64]
 
+    @property
+    def arrays(self) -> tuple[NDArray[np.float64], ...]:
+        """Direct light, its error, reflected light and its error."""
+        return self.direct, self.direct_error, self.reflected, self.reflected_error
+
     def means(self, area: AreaFigures) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Mean direct and reflected illuminance [L] of an area by each lamp, lx."""
         direct, reflected = self.direct[:, area.part], self.reflected[:, area.part]

@@ -24,7 +24,7 @@ from lumitree.lamp.scene_shapes import SceneShape, reusable_shapes, shapes_of_sc
 from lumitree.lamp.source import LuminaireSource
 from lumitree.rendering.asset_cache import asset_of
 from lumitree.rendering.asset_flux import asset_watts, factors_to
-from lumitree.rendering.emitter import Appearance, Sampling, shows_geometry
+from lumitree.rendering.emitter import Appearance, Sampling, lamp_of, shows_geometry
 from lumitree.rendering.layers import records_layers
 from lumitree.rendering.objects import load_ordered
 from lumitree.rendering.placement import Placement
@@ -102,6 +102,16 @@ class PlacedLuminaire:
     def is_shown_by_field(self, appearance: Appearance) -> bool:
         """Whether images show its radiance field."""
         return self.asset is not None and not shows_geometry(self.asset, appearance)
+
+    def moved(self, emitter: mi.Emitter, placement: Placement) -> PlacedLuminaire:
+        """The same asset at another placement, where its emitter and its shapes go, too."""
+        found = PlacedLuminaire(placement, self.source, self._metres)
+        lamp = lamp_of(emitter)
+        assert lamp is not None
+        lamp.gain = mi.Color3f(*found.gain)
+        lamp.to_world = mi.Transform4f(found.scene_from_world)
+        emitter.parameters_changed()
+        return found
 
     def shapes(self, sampling: Sampling, appearance: Appearance) -> dict[str, object]:
         """Shapes for `mitsuba.load_dict`; arguments as for `place_luminaires`."""
