@@ -6,9 +6,7 @@ Symbols
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Iterable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import drjit as dr
@@ -38,11 +36,10 @@ class AliasTable:
         sizes = [rows * count for rows, count in parts]
         words = np.empty((sum(sizes), 2), np.uint32)
         first = 0
-        # NumPy sorts without the interpreter's lock, while the device computes further weights.
-        with ThreadPoolExecutor(dr.thread_count()) as pool:
-            for block in pool.map(functools.partial(_words, bits=bits), weights):
-                words[first : first + len(block)] = block
-                first += len(block)
+        for each in weights:
+            block = _words(each, bits)
+            words[first : first + len(block)] = block
+            first += len(block)
         self._words = on_device(mi.UInt32, words)
         starts = np.cumsum([0, *sizes[:-1]])
         self._parts = on_device(

@@ -38,7 +38,7 @@ _GAP = 2e-3
 _NODES = 20_000
 # Standard errors by which a point may be off; rounds in which points at a limit get other samples,
 # and part of the error that is then enough.
-_DOUBT, _SHARPER, _SHARP = 2.0, 4, 1 / 3
+_DOUBT, _SHARPER, _SHARP = 2.0, 4, 1 / 4
 # Levels below this part of the brightest are the solver's zeros.
 _LEAST = 1e-9
 # So large a part of the targets is all of them.

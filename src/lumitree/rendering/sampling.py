@@ -11,6 +11,7 @@ Symbols
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -78,7 +79,7 @@ def scrambled(sample: mi.Point2f) -> mi.Point3f:
 
 
 # Dr.Jit variables that a `Reservoir` keeps together.
-Candidate = tuple[object, ...]
+Candidate = tuple[Any, ...]
 
 
 @dataclass
