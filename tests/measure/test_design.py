@@ -109,12 +109,12 @@ def uneven():
 def test_slopes_are_central_differences(mi, axis):
     from scipy.spatial.transform import Rotation
 
-    from lumitree.measure.aiming import lamp_alone
+    from lumitree.measure.aiming import unplaced_lamp
     from lumitree.measure.direct_light import direct_lux, moved, slope
     from lumitree.rendering.scene import open_placements
 
     place = lumitree.Placement(uneven(), at=(0.3, 1.5, 0.1), size=0.8, rotate=(1, 2, 0, 25))
-    light = lamp_alone(*open_placements([place]))
+    light = unplaced_lamp(*open_placements([place]))
     points = np.array([[0, 0, 0], [1, 0, 0.5], [-0.6, 0.2, 0.9]])
     normals = np.array([[0, 1, 0], [0, 1, 0], [0.3, 1, -0.2]])
     start = np.array(place.at), np.eye(3)

@@ -139,7 +139,7 @@ class Aim:
     def search(self, start: IlluminanceResult) -> tuple[list[Placement], IlluminanceResult]:
         """The lamps where they are best, and their illuminance; `start` is where they are first."""
         free = np.flatnonzero(self.axes.any(axis=1)).tolist()
-        alone = {index: lamp_alone(self.lamps[index]) for index in free}
+        lights = {index: unplaced_lamp(self.lamps[index]) for index in free}
         centre = np.array([lamp.scene_from_box[:3, 3] for lamp in self.lamps])
         best, trust = _Poses(centre, np.tile(np.eye(3), (len(centre), 1, 1))), 1 / _GROW
         result, least, model = start, np.inf, None
@@ -153,7 +153,7 @@ class Aim:
             gained = least - cost
             if gained > 0:
                 seed = SeedStream(Purpose.DESIGN, number, draw=2).seed(self.seed)
-                model = _Model(alone, self.axes, poses, found, tasks, seed)
+                model = _Model(lights, self.axes, poses, found, tasks, seed)
                 best, result, least = poses, found, cost
             trust *= _GROW if gained > 0 else _SHRINK
             if trust < _LEAST or 0 < gained < _SAVED * least:
@@ -216,7 +216,7 @@ class Aim:
         return placements
 
 
-def lamp_alone(placed: PlacedLuminaire) -> PlacedLamp:
+def unplaced_lamp(placed: PlacedLuminaire) -> PlacedLamp:
     """The light of a lamp, without a scene."""
     proxy = mi.load_dict(placed.shapes("emission", "field")["proxy"])
     return proxy.emitter().lamp

@@ -129,7 +129,7 @@ def portrait(
         return Photograph(_before_backdrop(radiance, opacity, 1 / white_radiance(ev)), ev, None)
     else:
         name, studio = lamp.luminaire, _asset_studio(lamp, half_width, resolution)
-    ev = lamp_ev(exposure, lambda: studio.own(pose, max(1, spp // _METERING), name))
+    ev = lamp_ev(exposure, lambda: studio.lamp_light(pose, max(1, spp // _METERING), name))
 
     def seen(pixels: NDArray[np.uint8]) -> None:
         if so_far is not None:
@@ -139,13 +139,13 @@ def portrait(
     return Photograph(denoised_pixels(pixels), ev, None)
 
 
-def lamp_ev(exposure: float | str, own: Callable[[], NDArray[np.floating]]) -> float:
+def lamp_ev(exposure: float | str, light: Callable[[], NDArray[np.floating]]) -> float:
     """EV100 of an exposure, as for `lumitree.preview`; the automatic one shows emitters well.
 
     Args:
-        own: returns the radiance of the lamp's own light, W/(m² sr).
+        light: returns the radiance of the lamp's own light, W/(m² sr).
     """
-    return exposure_value(exposure, lambda: ev_of_white(1 / auto_exposure(own())))
+    return exposure_value(exposure, lambda: ev_of_white(1 / auto_exposure(light())))
 
 
 def portrait_half_width(lamp: Asset | Luminaire) -> float:
@@ -231,7 +231,7 @@ class _Studio:
             for index, pose in enumerate(poses)
         ]
 
-    def own(self, pose: NDArray[np.float64], spp: int, name: str) -> NDArray[np.float32]:
+    def lamp_light(self, pose: NDArray[np.float64], spp: int, name: str) -> NDArray[np.float32]:
         """Radiance of the lamp before the studio is switched on, by the same kernel."""
         return self._camera.take(pose, spp, 0, f"exposure of {name}")[0]
 

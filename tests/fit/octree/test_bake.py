@@ -96,7 +96,7 @@ def test_a_field_that_cannot_be_bright_enough_is_told(lamp, tmp_path):
 def test_a_budget_that_the_first_estimate_spends_is_a_warning(ball, tmp_path):
     from lumitree.fit.octree.bake import bake
 
-    with pytest.warns(LumitreeWarning, match=r"lamp0: 0\.001 s were over before the gradient"):
+    with pytest.warns(LumitreeWarning, match=r"lamp: 0\.001 s were over before the gradient"):
         result = bake(ball, small_config(time=1e-3, rays=None), tmp_path)
     assert result.rays == 0
 
