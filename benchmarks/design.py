@@ -146,7 +146,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("lamp", metavar="LAMP", help="a .lumitree file")
     parser.add_argument("parts", metavar="PART", nargs="*", help=f"of {', '.join(PARTS)}")
     parser.add_argument("--rooms", metavar="FOLDER", type=Path, default=Path("rooms"))
-    parser.add_argument("--plans", metavar="FOLDER", type=Path, help="for plans as PNG")
+    parser.add_argument("--plans", metavar="FOLDER", type=Path, help="PNG: docs/images/design.jpg")
     parser.add_argument("--error", type=float, default=0.02, help="of each point")
     parser.add_argument("--evaluations", type=int, default=200, help="of the search")
 

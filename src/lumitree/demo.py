@@ -22,7 +22,7 @@ LUMINAIRE = "bulbs"
 BAKE_SECONDS = 150
 WIDTH = 640
 # Time of rendering of each image, and in the full demonstration.
-ROOM_SECONDS, FULL_ROOM_SECONDS = 20.0, 60.0
+ROOM_SECONDS, FULL_ROOM_SECONDS = 16.0, 60.0
 # Fewer samples per pixel are explained.
 _FEW_SAMPLES = 8
 
