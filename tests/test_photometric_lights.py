@@ -86,7 +86,7 @@ def test_a_file_is_the_asset_that_a_bake_makes_of_it(name):
 @pytest.mark.parametrize("name", ["a.ies", slow("d.TM25RAY")])
 def test_commands_take_files(name, folder, capsys):
     for command, shown in (
-        (["info", name], "lumens"),
+        (["info", name], "luminous flux"),
         (["preview", name, "-o", "p.png", "--resolution", "8"], "p.png"),
         (["photometry", name, "--paths", "16384", "--step", "15"], "luminous flux"),
         (["export", name, "-o", "lamp.py"], "lights"),

@@ -77,4 +77,4 @@ def test_inputs_are_read_or_refused_in_a_line(name, mi, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name, reader in READERS.items() if reader.use])
 def test_accepted_inputs_can_be_rendered(name, mi, tmp_path):
-    assert outcomes(name, 8, tmp_path, use=True)["accepted"] > 1
+    assert outcomes(name, 40, tmp_path, use=True)["accepted"] > 1

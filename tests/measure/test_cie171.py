@@ -195,11 +195,12 @@ def test_a_baked_area_source(mi):
         asset = lumitree.bake(lamp, None, config).asset
         found, exact = below_a_square(mi, {}, [lumitree.Placement(asset, at=(0, HEIGHT, 0))])
         ratios.append(found.direct / exact)
-    # Each bake.
-    assert np.array(ratios) == pytest.approx(1, abs=0.04)
-    assert np.mean(ratios) == pytest.approx(1, abs=0.005)
-    mean, error = np.mean(ratios, axis=0), np.std(ratios, axis=0, ddof=1) / np.sqrt(len(ratios))
-    assert (np.abs(mean - 1) < 0.005 + 4 * error).all()
+    # Each bake. A value has a standard deviation of 0.2 to 2 %, by its point.
+    assert (np.sqrt(np.square(np.array(ratios) - 1).mean(axis=1)) < 0.02).all()
+    # All points together, and each, but for noise.
+    for values in (np.mean(ratios, axis=1), np.array(ratios)):
+        error = np.std(values, axis=0, ddof=1) / np.sqrt(len(values))
+        assert (np.abs(np.mean(values, axis=0) - 1) < 0.005 + 4 * error).all()
 
 
 def test_the_walls_of_a_box_get_the_flux_of_the_lamp(mi, tmp_path):

@@ -158,9 +158,9 @@ def test_a_bake_gets_the_flux_and_the_colour_that_are_asked_for(parts, capsys):
     refined = lumitree.refine("warm.lumitree", "lamp.xml", rays=1 << 14, irradiance_paths=0)
     assert refined.asset.light_factors == warm.asset.light_factors
     assert main(["info", "warm.lumitree", "--json", "info.json"]) == 0
-    shown = re.search(r"lumens  ([\d.]+)", capsys.readouterr().out)
+    shown = re.search(r"luminous flux  ([\d.,]+) lm", capsys.readouterr().out)
     assert shown is not None
-    assert float(shown[1]) == pytest.approx(luminance(watts), rel=1e-4)
+    assert float(shown[1].replace(",", "")) == pytest.approx(luminance(watts), rel=1e-4)
     with open("info.json") as file:
         assert json.load(file)["asset"]["light_factors"] == list(warm.asset.light_factors)
 
