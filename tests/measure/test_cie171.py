@@ -197,7 +197,7 @@ def test_a_baked_area_source(mi):
         ratios.append(found.direct / exact)
     # Each bake. A value has a standard deviation of 0.2 to 2 %, by its point.
     assert (np.sqrt(np.square(np.array(ratios) - 1).mean(axis=1)) < 0.02).all()
-    # All points together, and each, but for noise: six values of a point say little of their spread.
+    # All points together, and each, but for noise, by the spread of all: six values say little.
     for values in (np.mean(ratios, axis=1), np.array(ratios)):
         error = np.sqrt(np.var(values, axis=0, ddof=1).mean() / len(values))
         assert (np.abs(np.mean(values, axis=0) - 1) < 0.005 + 4 * error).all()
