@@ -212,8 +212,8 @@ def design(
             on or off.
         margin: standard errors by which each point keeps away from its limits, 0 to 10. Without,
             the least illuminance is too small by about the error of the points that have it.
-        error: standard error of the illuminance of each point, as for `illuminance`; a third of it
-            where a plane has its limits.
+        error: standard error of the illuminance of each point, as for `illuminance`; a quarter
+            of it where a plane has its limits.
         time: limit of each simulation, s, as for `illuminance`.
         unit: unit of length of the scene, as for `illuminance`.
         seed: root seed of all random numbers, 0 to 2³¹ - 1.

@@ -29,6 +29,7 @@ _PIXELS, _AROUND = 600, 0.25
 _STEP = 3
 # Corners of an outline that is round.
 _ROUND = 48
+# Directions in which an outline has its farthest points.
 _TOWARDS = np.exp(2j * np.pi * np.arange(128) / 128).view(np.float64).reshape(-1, 2)
 _CORNERS = np.stack(np.meshgrid(*3 * [[-1.0, 1.0]]), axis=-1).reshape(-1, 3)
 

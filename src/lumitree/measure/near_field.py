@@ -102,14 +102,16 @@ class NearFieldTest:
         """
         along = (origin * direction).sum(axis=1)
         beyond = along**2 - (origin**2).sum(axis=1)
-        abreast = np.sqrt(np.maximum(-beyond, 0))
+        # Distance of the centre of the opening from the line of each ray.
+        line_distance = np.sqrt(np.maximum(-beyond, 0))
         nearest = (self._axes @ direction.T).max(axis=0)
         sums = [self._in_cones(direction, lumens)]
         for radius in DISTANCES * self._size:
             half_chord = np.sqrt(np.maximum(beyond + radius**2, 0))
-            # A ray leaves the sphere in its own direction from the centre but for an angle α, with
-            # sin α = abreast / radius. Only rays within α + 5° of an axis may be in its cone.
-            least = (_COSINE_OF_CONE * half_chord - _SINE_OF_CONE * abreast) / radius
+            # Seen from the centre, a ray leaves the sphere at an angle α to the ray's direction,
+            # sin α = line_distance / radius. So only rays within α + 5° of an axis may leave in the
+            # cone about this axis.
+            least = (_COSINE_OF_CONE * half_chord - _SINE_OF_CONE * line_distance) / radius
             distance = half_chord - along
             crosses = (half_chord > 0) & (distance > 0)
             used = np.flatnonzero(crosses & (nearest > least - 1e-5))

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from lumitree.asset.asset import Asset, light_field_asset
 from lumitree.asset.light_field import make_light_field
-from lumitree.core.device import channel_mean, on_device, transforms_as_parameters
+from lumitree.core.device import channel_mean, on_device, parameter, transforms_as_parameters
 from lumitree.core.frames import similarity_scale
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
@@ -238,7 +238,7 @@ def vertex_radiance(
             count = min(at_once, len(faces) - first)
             samples = count * samples_per_face
             sampler = seeded_sampler(SeedStream(Purpose.SURFACES, step).seed(_ROOT_SEED), samples)
-            start = dr.opaque(mi.UInt32, first)
+            start = parameter(mi.UInt32, first)
             face = start + dr.arange(mi.UInt32, samples) // samples_per_face
             index = dr.gather(mi.Vector3u, corners, face)
             a, b, c = (dr.gather(mi.Point3f, points, each) for each in index)

@@ -382,7 +382,7 @@ class DeviceLight(CellLight):
         packed = [field.dense(divided(field.intensity, unit))]
         packed += [pack_lit(level.intensity, unit) for level in sums]
         self._packed = on_device(mi.UInt32, np.concatenate(packed))
-        self.scale = dr.opaque(mi.Float, field.scale * unit * max(factors))
+        self.scale = parameter(mi.Float, field.scale * unit * max(factors))
         self._colour = parameter(mi.Color3f, *(factor / max(factors) for factor in factors))
         cumulated = np.cumsum(flux, axis=1)
         self._num_levels = parameter(mi.UInt32, len(self.levels))

@@ -79,7 +79,7 @@ def cell_rows(
     def square(first: int) -> mi.Float:
         points = _ROWS_AT_ONCE * _POINTS_PER_CELL
         rng = random_numbers(points, first)
-        row = dr.opaque(mi.UInt32, first) + dr.arange(mi.UInt32, points) // _POINTS_PER_CELL
+        row = parameter(mi.UInt32, first) + dr.arange(mi.UInt32, points) // _POINTS_PER_CELL
         sample = mi.Point2f(rng.next_float32(), rng.next_float32())
         x = receivers.point(row, sample, rng.next_float32())
         cell = dr.arange(mi.UInt32, _ROWS_AT_ONCE * len(flux))

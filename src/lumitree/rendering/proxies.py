@@ -19,7 +19,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.device import on_device
+from lumitree.core.device import on_device, parameter
 from lumitree.lamp.scene_shapes import build_again, shape_groups
 from lumitree.rendering.emitter import PlacedLamp, lamp_of, lamps_of, sampled_only
 from lumitree.rendering.objects import make_object, shape_number
@@ -58,7 +58,7 @@ class Proxies:
         if rows:
             # On the device: numbers of lamps do not compile new kernels.
             nodes = box_tree(*np.moveaxis(np.array(boxes), 1, 0))
-            self._count = dr.opaque(mi.UInt32, len(nodes))
+            self._count = parameter(mi.UInt32, len(nodes))
             self._nodes = on_device(mi.Float, nodes)
             self._rows = on_device(mi.Float, np.array(rows))
             self._indices = on_device(mi.UInt32, list(lamps))
@@ -305,7 +305,7 @@ class _Numbers:
         if self._any:
             table = np.full(max(values) + 1, NONE, np.uint32)
             table[list(values)] = list(values.values())
-            self._count = dr.opaque(mi.UInt32, len(table))
+            self._count = parameter(mi.UInt32, len(table))
             self._table = on_device(mi.UInt32, table)
 
     def look_up(self, number: mi.UInt32, active: mi.Bool) -> mi.UInt32:

@@ -140,7 +140,7 @@ def sample_row(
     """Index, from 0, of a sample in [0, 1) in one row of a table of cumulated probabilities."""
 
     # The search is over the next power of two, so that rows of similar lengths share a kernel.
-    length, bound = dr.opaque(mi.UInt32, count), 1 << (count - 1).bit_length()
+    length, bound = parameter(mi.UInt32, count), 1 << (count - 1).bit_length()
 
     def below(index):
         inside = active & (index < length)

@@ -25,7 +25,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.device import as_rows
+from lumitree.core.device import as_rows, parameter
 from lumitree.core.frames import from_viewer
 from lumitree.lamp.luminaire import Luminaire
 from lumitree.trace import medium_paths
@@ -208,7 +208,7 @@ def trace_light(
         chosen, flux = mi.UInt32([0]), mi.Color3f(dr.zeros(mi.Float, count))
     to_local = mi.Transform4f(luminaire.scene_frame.local_from_world)
     dr.make_opaque(to_local)
-    scale = dr.opaque(mi.Float, 1 / (count * luminaire.frame.scale**2))
+    scale = parameter(mi.Float, 1 / (count * luminaire.frame.scale**2))
     paths = LightPaths(
         to_local @ dr.gather(mi.Point3f, traced.vertex, chosen),
         dr.normalize(to_local @ dr.gather(mi.Vector3f, traced.ray.d, chosen)),
@@ -237,7 +237,7 @@ def emitted_flux(
     """
     extent = scene_extent(luminaire.scene)
     _, flux, emitter = emit(luminaire.emitting_surfaces, sampler, extent)
-    return flux * dr.opaque(mi.Float, 1 / (count * luminaire.frame.scale**2)), emitter
+    return flux * parameter(mi.Float, 1 / (count * luminaire.frame.scale**2)), emitter
 
 
 @dataclasses.dataclass

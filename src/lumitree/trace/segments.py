@@ -21,7 +21,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.device import random_numbers
+from lumitree.core.device import parameter, random_numbers
 from lumitree.core.frames import LocalFrame
 from lumitree.core.octahedral import bin_of, coarse_bin
 from lumitree.core.photometry import LUMA
@@ -172,7 +172,7 @@ def restoring_factor(whole: mi.Float, limited: mi.Float) -> mi.Float:
     whole_sum, limited_sum = (
         float(np.array(each).sum(dtype=np.float64)) for each in (whole, limited)
     )
-    return dr.opaque(mi.Float, whole_sum / limited_sum if limited_sum > 0 else 1.0)
+    return parameter(mi.Float, whole_sum / limited_sum if limited_sum > 0 else 1.0)
 
 
 def bin_segments(

@@ -23,7 +23,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.device import on_device
+from lumitree.core.device import on_device, parameter
 from lumitree.core.harmonics import Y_00, num_coefficients
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.fit.octree.config import CalibrationConfig, FluxConfig
@@ -124,7 +124,7 @@ def _moments(
         # If rays are few, none may meet a leaf.
         shape = int(cell.max()) + 1, 3, harmonics
         return np.zeros(shape), np.zeros((*shape, harmonics))
-    light = rays.light * dr.opaque(mi.Float, 1 / max_radiance)
+    light = rays.light * parameter(mi.Float, 1 / max_radiance)
     radiance, _, _ = field.integrate(rays.origin, rays.direction)
     ratio = light / dr.maximum(radiance, 1e-6)
     dr.eval(ratio)
@@ -190,7 +190,7 @@ def flux_correction(
         traced += float(dr.sum(rays.light, axis=None)[0]) / max_radiance
         shown += float(dr.sum(rays.share * radiance, axis=None)[0])
         # Light paths, whose share is 0, bring light of no known radiance.
-        above = rays.light * dr.opaque(mi.Float, 1 / max_radiance) - rays.share
+        above = rays.light * parameter(mi.Float, 1 / max_radiance) - rays.share
         seen = dr.select(rays.share > 0, dr.maximum(above, 0), 0)
         beyond += float(dr.sum(seen, axis=None)[0])
     factor = traced / shown if traced > 0 and shown > 0 else 1.0

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lumitree.core.checkpoint import Arrays, Checkpoint
-from lumitree.core.device import on_device
+from lumitree.core.device import on_device, parameter
 from lumitree.core.interruption import Interruption
 from lumitree.core.progress import progress
 from lumitree.core.seeds import Purpose, SeedStream
@@ -92,13 +92,13 @@ class HeldOut:
     def trace(source: RaySource, max_radiance: float, config: HeldOutConfig) -> HeldOut:
         """Rays that no step of a bake draws."""
         pairs = source.draw_pairs(config.rays, SeedStream(Purpose.HELD_OUT), config.paths)
-        scale = dr.opaque(mi.Float, 1 / max_radiance)
+        scale = parameter(mi.Float, 1 / max_radiance)
         a, b = (dr.minimum(value * scale, 1) for value in (pairs.first, pairs.second))
         return HeldOut(pairs.origin, pairs.direction, a, b, pairs.transmittance)
 
     def rescaled(self, factor: float) -> HeldOut:
         """The same for an L_max `factor` times as large; clipped values stay clipped."""
-        scale = dr.opaque(mi.Float, 1 / factor)
+        scale = parameter(mi.Float, 1 / factor)
         a, b = (dr.minimum(value * scale, 1) for value in (self.first, self.second))
         return dataclasses.replace(self, first=a, second=b)
 
@@ -160,7 +160,7 @@ class Refiner:
         radiance, through, _ = integrated
         dr.eval(integrated)
         weight = dr.rcp(radiance + config.epsilon)
-        light = rays.light * dr.opaque(mi.Float, 1 / self._max_radiance)
+        light = rays.light * parameter(mi.Float, 1 / self._max_radiance)
         # Rays of both kinds contribute to the mean of the opacity's loss.
         part = 1 / (1 + config.opacity_rays_per_ray)
         d_density, d_coefficients = gradients(
@@ -172,7 +172,7 @@ class Refiner:
             part * rays.share * self._opacity_slope(through, rays.transmittance),
         )
         through = field.through(origin, direction)
-        share = dr.opaque(mi.Float, (1 - part) / num_opacity_rays)
+        share = parameter(mi.Float, (1 - part) / num_opacity_rays)
         d_depth = share * self._opacity_slope(through, transmittance)
         dr.eval(d_depth)
         d_density += depth_gradient(field, origin, direction, d_depth)
@@ -234,7 +234,7 @@ class Refiner:
             stream = SeedStream(Purpose.ERROR_INDICATOR, self.step, batch)
             pairs = self._source.draw_pairs(config.indicator_rays, stream, 1)
             radiance, through, _ = field.integrate(pairs.origin, pairs.direction)
-            scale = dr.opaque(mi.Float, 1 / self._max_radiance)
+            scale = parameter(mi.Float, 1 / self._max_radiance)
             # The product of two independent errors: noise causes no bias.
             square = (radiance - pairs.first * scale) * (radiance - pairs.second * scale)
             error = dr.sum(square * dr.rcp(dr.square(radiance + self._config.epsilon)))
@@ -296,8 +296,8 @@ class Adam:
         self.steps += 1
         beta_1, beta_2 = self._decays
         # Opaque, or every step would compile another kernel.
-        step = dr.opaque(mi.Float, rate / (1 - beta_1**self.steps))
-        correction = dr.opaque(mi.Float, 1 / (1 - beta_2**self.steps))
+        step = parameter(mi.Float, rate / (1 - beta_1**self.steps))
+        correction = parameter(mi.Float, 1 / (1 - beta_2**self.steps))
         self.mean = beta_1 * self.mean + (1 - beta_1) * gradient
         self.square = beta_2 * self.square + (1 - beta_2) * dr.square(gradient)
         moved = values - step * self.mean / (dr.sqrt(self.square * correction) + 1e-15)

@@ -20,7 +20,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.device import on_device
+from lumitree.core.device import on_device, parameter
 from lumitree.core.frames import halton_direction, towards_viewer
 from lumitree.core.harmonics import basis, basis_array, num_coefficients
 from lumitree.core.seeds import Purpose, SeedStream
@@ -139,7 +139,7 @@ class LeafStatistics:
         leaf, found = octree.find_leaf(paths.termination)
         # Light travels towards the viewer.
         y = basis(*paths.direction, l_max=self._l_max)
-        self._add_radiance(y, paths.flux * dr.opaque(mi.Float, scale), leaf, found)
+        self._add_radiance(y, paths.flux * parameter(mi.Float, scale), leaf, found)
         dr.eval(self._b)
 
     def _add_radiance(

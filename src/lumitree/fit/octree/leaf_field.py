@@ -21,7 +21,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.device import on_device
+from lumitree.core.device import on_device, parameter
 from lumitree.core.frames import towards_viewer
 from lumitree.core.harmonics import basis, num_coefficients
 from lumitree.core.reading import Arrays
@@ -164,7 +164,7 @@ class LeafField:
             total += dr.gather(mi.Vector4f, self.coefficients, other, there)
             count += dr.select(there, mi.Float(1), 0)
         before = dr.gather(mi.Vector4f, self.coefficients, row)
-        strength = dr.select(count > 0, dr.opaque(mi.Float, share), 0)
+        strength = dr.select(count > 0, parameter(mi.Float, share), 0)
         self.coefficients = dr.ravel(before + strength * (total / dr.maximum(count, 1) - before))
         dr.eval(self.coefficients)
 

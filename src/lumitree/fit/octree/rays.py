@@ -209,7 +209,7 @@ def _lattice(count: int, seed: int) -> list[mi.Float]:
     index = dr.arange(mi.UInt32, count)
     return [
         # Wraps at 1, by its 32 bits; a Float has 24 of them.
-        mi.Float((index * mi.UInt32(step) + dr.opaque(mi.UInt32, int(first))) >> 8) * 2**-24
+        mi.Float((index * mi.UInt32(step) + parameter(mi.UInt32, int(first))) >> 8) * 2**-24
         for step, first in zip(_LATTICE_STEPS, shift, strict=True)
     ]
 
@@ -351,9 +351,9 @@ class TracedRays:
             return Rays(origin, direction, none, mi.Color3f(none), none)
         through, seen = self._follow_smooth(origin, direction, stream)
         paths = self.light_paths(max(1, round(light_paths_per_ray * count)), stream)
-        share = dr.opaque(mi.Float, 1 / num_rays)
+        share = parameter(mi.Float, 1 / num_rays)
         # The measure of the wanted rays is that part of all.
-        scale = dr.opaque(mi.Float, count / (num_rays * self.measure))
+        scale = parameter(mi.Float, count / (num_rays * self.measure))
         num_paths = dr.width(paths.exit)
         rays = Rays(
             _join(origin, paths.exit),

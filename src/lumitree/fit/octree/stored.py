@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.device import on_device
+from lumitree.core.device import on_device, parameter
 from lumitree.core.frames import orthographic_rays
 from lumitree.core.seeds import Purpose, SeedStream
 from lumitree.errors import LumitreeError
@@ -66,7 +66,7 @@ class StoredRays:
         origin, direction, radiance, through = self._pixels(self._training, count, stream)
         origin, direction, chosen = chosen_rays(origin, direction, wanted)
         num_rays = dr.width(chosen)
-        share = dr.opaque(mi.Float, 1 / max(1, num_rays)) * dr.ones(mi.Float, num_rays)
+        share = parameter(mi.Float, 1 / max(1, num_rays)) * dr.ones(mi.Float, num_rays)
         light = dr.gather(mi.Color3f, radiance, chosen) * share
         through = dr.gather(mi.Float, through, chosen)
         dr.eval(share, light, through)

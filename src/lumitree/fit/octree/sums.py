@@ -12,6 +12,7 @@ import math
 import drjit as dr
 import mitsuba as mi
 
+from lumitree.core.device import parameter
 from lumitree.errors import LumitreeError
 
 # Sums stay below 2^62: bounds are themselves rounded.
@@ -35,7 +36,7 @@ class ExactSum:
         exponent = _BITS - math.frexp(bound)[1] if bound > 0 else 0
         self._scale = math.ldexp(1, min(exponent, _MAX_EXPONENT))
         # Opaque, or every other scale would compile other kernels.
-        self._multiplier = dr.opaque(mi.Float, self._scale)
+        self._multiplier = parameter(mi.Float, self._scale)
         self._total = dr.zeros(mi.Int64, size)
 
     def add(
@@ -51,7 +52,7 @@ class ExactSum:
 
     def values(self) -> mi.Float:
         """The sums."""
-        return mi.Float(self._total) * dr.opaque(mi.Float, 1 / self._scale)
+        return mi.Float(self._total) * parameter(mi.Float, 1 / self._scale)
 
 
 def total_of(count: int, *values: mi.Float | mi.Color3f) -> float:
