@@ -174,7 +174,7 @@ def test_points_and_rays_share_the_light(mi, levels, level, name, other):
         return other * (0.01 + dr.square(dr.dot(axis, direction)))
 
     samples = uniform_samples(mi, count).next_2d()
-    direction, target = light.sample_point(origin, samples)
+    direction, target = light.sample_point(origin, mi.Vector3f(0), samples)
     arrives = BoxProxy(HALF).enter(origin, direction)[2]
     weight = light.contribution(target, mi.Float(density(direction)), arrives)
     radius = float(np.linalg.norm(HALF))
