@@ -22,7 +22,8 @@ class AliasTable:
 
     An entry has two words: a threshold and the index of the alias in one; and the probability of
     its index. Thresholds are rounded up to the bits of the first word, so that no index has
-    probability 0, and the probabilities follow from the rounded thresholds.
+    probability 0, and the probabilities follow from the rounded thresholds. Entries a quarter of
+    a row apart are stored side by side: samples at equal steps, as of a `Reservoir`, are near.
 
     Args:
         weights: arrays [M, N] of all rows, M each, at least 0, with a positive sum in each row.
@@ -59,7 +60,7 @@ class AliasTable:
         first, count = self._row(row, part)
         scaled = sample * mi.Float(count)
         entry = dr.minimum(mi.UInt32(scaled), count - 1)
-        word = dr.gather(mi.UInt32, self._words, 2 * (first + entry), active)
+        word = dr.gather(mi.UInt32, self._words, 2 * (first + _place(entry, count)), active)
         step = mi.UInt32((scaled - mi.Float(entry)) * self._steps)
         alias = word & ((mi.UInt32(1) << self._bits) - 1)
         index = dr.select(step <= word >> self._bits, entry, alias)
@@ -73,8 +74,8 @@ class AliasTable:
         part: mi.UInt32 | None = None,
     ) -> mi.Float:
         """Probability with which `sample` returns an index; 0 where not active."""
-        first, _ = self._row(row, part)
-        word = dr.gather(mi.UInt32, self._words, 2 * (first + index) + 1, active)
+        first, count = self._row(row, part)
+        word = dr.gather(mi.UInt32, self._words, 2 * (first + _place(index, count)) + 1, active)
         return dr.reinterpret_array(mi.Float, word)
 
     def _row(self, row, part):
@@ -85,8 +86,16 @@ class AliasTable:
         return found.x + row * found.y, found.y
 
 
+def _place(index: mi.UInt32, count: mi.UInt32) -> mi.UInt32:
+    """Place of an entry in its row of N = `count`; the last N modulo 4 entries keep theirs."""
+    length = count >> 2
+    quarter = dr.select(index >= 2 * length, mi.UInt32(2), 0)
+    quarter += dr.select(index >= (quarter + 1) * length, mi.UInt32(1), 0)
+    return dr.select(index < 4 * length, 4 * (index - quarter * length) + quarter, index)
+
+
 def _words(weights: NDArray[np.float64], bits: int) -> NDArray[np.uint32]:
-    """Both words of the entries [M × N, 2] of rows [M, N]."""
+    """Both words [M × N, 2] of the entries of rows [M, N], each row in the order of `_place`."""
     (rows, count), steps = weights.shape, 1 << (32 - bits)
     threshold, alias = alias_rows(weights)
     rounded = np.clip(np.ceil(threshold * steps), 1, steps)
@@ -95,7 +104,10 @@ def _words(weights: NDArray[np.float64], bits: int) -> NDArray[np.uint32]:
     pmf = (rounded / steps).ravel() + others
     word = (rounded.astype(np.uint64) - 1 << bits) | alias.astype(np.uint64)
     probability = (pmf / count).astype(np.float32).view(np.uint32)
-    return np.stack([word.ravel().astype(np.uint32), probability], axis=1)
+    words = np.stack([word.astype(np.uint32), probability.reshape(rows, count)], axis=2)
+    order = np.arange(count)
+    order[: count // 4 * 4] = order[: count // 4 * 4].reshape(4, -1).T.ravel()
+    return words[:, order].reshape(-1, 2)
 
 
 def alias_rows(weights: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

@@ -39,9 +39,10 @@ from lumitree.rendering.sampling import STRAIGHT, Reservoir, Target, cosine_weig
 
 # Clusters at most, the depth of the finest grid whose cells they are, and how many are candidates.
 _CLUSTERS, _DEPTH, _CANDIDATES = 16, 5, 2
-# Least straight light, relative to the light of unoccluded emitters: paths may have missed some.
-# And part of the mean over all directions that is added to the unoccluded light.
-_MISSED, _ANYWHERE = 0.02, 0.2
+# Least straight light, since light paths may have missed some: parts of the straight light around a
+# direction, within the cosine, and of the light of unoccluded emitters. And part of the mean over
+# all directions that is added to the unoccluded light.
+_MISSED, _AROUND, _HARDLY, _ANYWHERE = 0.01, math.cos(math.radians(8)), 1e-9, 0.2
 # Bins of direction a side, and entries of the table of elements by direction: lamps with more
 # elements have fewer bins.
 _BINS, _MAX_ENTRIES = 16, 1 << 21
@@ -101,7 +102,7 @@ class StraightLight:
         if field is not None:
             # For partly hidden emitters, the root mean square of samples, and not their mean.
             straight = _straight(field, middles, factors)
-            outside = np.sqrt(np.maximum(straight, _MISSED * bare) * bare)
+            outside = np.sqrt(np.maximum(straight, _missed(straight, bare)) * bare)
         # Intensities of clusters for receivers outside the box, and inside.
         self._intensity = on_device(mi.Float, np.stack([outside, bare]))
         self._clusters = parameter(mi.UInt32, len(flux))
@@ -237,6 +238,18 @@ def _straight(
     centres = (field.cells + 0.5) * (2 / (1 << field.depth)) - 1
     nearest = np.stack([((centres - each) ** 2).sum(axis=1) for each in middles]).argmin(axis=0)
     return np.stack([by_cell[nearest == i].sum(axis=0) for i in range(len(middles))])
+
+
+def _missed(straight: NDArray[np.float64], bare: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Least straight light [K, R²] of clusters, which light paths may have missed.
+
+    A shade that is closed around a direction hides the emitters: sampling them would be for
+    nothing.
+    """
+    directions = middle_directions(math.isqrt(straight.shape[1]))
+    near = (directions @ directions.T >= _AROUND).astype(np.float64)
+    around = (straight @ near) / np.maximum(bare @ near, 1e-300)
+    return (_MISSED * around + _HARDLY) * bare
 
 
 # Kinds of elements.
