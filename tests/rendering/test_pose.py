@@ -172,7 +172,9 @@ def scene_of(mi, asset, bsdf="diffuse", others=0, sampling="emission"):
     place = mi.ScalarTransform4f
     shapes = {
         f"lamp{i or ''}": lumitree.shape(
-            asset, place().translate([-0.8 * i, 0.6, -0.5 * i]).scale(0.3), sampling
+            asset,
+            place().translate([-0.8 * i, 0.6, -0.5 * i]).scale(0.3),
+            sampling,  # type: ignore
         )
         for i in range(others + 1)
     }
@@ -230,9 +232,9 @@ def test_gradients_are_central_differences(mi, bsdf, others, spp):
     parameters, x = mi.traverse(scene), mi.Float(BASE["x"])
     dr.enable_grad(x)
     set_lamp(mi, parameters, **BASE | {"x": x})
-    dr.forward(x, dr.ADFlag.ClearEdges)
+    dr.forward(x, dr.ADFlag.ClearEdges)  # type: ignore
     pixels = mi.render(scene, parameters, integrator=integrator, spp=1, spp_grad=spp, seed=7)
-    forward = np.array(dr.forward_to(pixels)).mean(axis=(0, 1)) @ COLOURS
+    forward = np.array(dr.forward_to(pixels)).mean(axis=(0, 1)) @ COLOURS  # type: ignore
     assert forward == pytest.approx(expected["x"], rel=0.03)
 
 
