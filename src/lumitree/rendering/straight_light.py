@@ -40,8 +40,8 @@ from lumitree.rendering.sampling import STRAIGHT, Reservoir, Target, scrambled
 # Clusters at most, the depth of the finest grid whose cells they are, and how many are candidates.
 _CLUSTERS, _DEPTH, _CANDIDATES = 16, 5, 2
 # Least straight light, since light paths may have missed some: parts of the straight light around a
-# direction, within the cosine, and of the light of unoccluded emitters. And part of the mean over all
-# directions that is added to the unoccluded light.
+# direction, within the cosine, and of the light of unoccluded emitters. And part of the mean over
+# all directions that is added to the unoccluded light.
 _MISSED, _AROUND, _HARDLY, _ANYWHERE = 0.01, math.cos(math.radians(8)), 1e-9, 0.2
 # Cells of receivers, see `ReceiverCells`.
 _RECEIVERS = (16, 4, 0.3)
