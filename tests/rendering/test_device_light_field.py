@@ -90,7 +90,7 @@ def test_radiance_and_density_are_sums_over_all_cells(mi, light, name):
     count = 4096
     origin = device_point(mi, name)
     radius = float(np.linalg.norm(HALF))
-    direction = sample_cone(origin, radius, uniform_samples(mi, count).next_2d())
+    direction = sample_cone(origin, mi.Float(radius), uniform_samples(mi, count).next_2d())
     radiance, density = seen_from(mi, light, origin, direction)
     meets = np.array(density) > 0
     d, x = np.array(direction, np.float64).T, np.array(POINTS[name])
@@ -131,7 +131,7 @@ def test_samples_follow_their_density_and_weigh_the_same_light(mi, light, name):
     weight = np.where(hit, np.array(dr.mean(radiance)) / np.maximum(density, 1e-30), 0)
     # The same from directions that are uniform over the bounding sphere.
     radius = float(np.linalg.norm(HALF))
-    plain = sample_cone(origin, radius, uniform_samples(mi, count, 1).next_2d())
+    plain = sample_cone(origin, mi.Float(radius), uniform_samples(mi, count, 1).next_2d())
     other, pdf = seen_from(mi, light, origin, plain)
     uniform = np.array(cone_pdf(origin, radius))[0]
     plain_weight = np.array(dr.mean(other), np.float64) / uniform
@@ -174,11 +174,11 @@ def test_points_and_rays_share_the_light(mi, levels, level, name, other):
         return other * (0.01 + dr.square(dr.dot(axis, direction)))
 
     samples = uniform_samples(mi, count).next_2d()
-    direction, target = light.sample_point(origin, samples)
+    direction, target = light.sample_point(origin, mi.Vector3f(0), samples)
     arrives = BoxProxy(HALF).enter(origin, direction)[2]
     weight = light.contribution(target, mi.Float(density(direction)), arrives)
     radius = float(np.linalg.norm(HALF))
-    plain = sample_cone(origin, radius, uniform_samples(mi, count, 1).next_2d())
+    plain = sample_cone(origin, mi.Float(radius), uniform_samples(mi, count, 1).next_2d())
     near, _, enters = BoxProxy(HALF).enter(origin, plain)
     entry = origin + near * plain
     # The bins of both depend on all bits of the ray.

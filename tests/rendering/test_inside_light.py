@@ -151,7 +151,7 @@ def test_points_and_rays_share_the_light(mi):
     x = mi.Point3f(*(dr.opaque(mi.Float, each) for each in (0.31, -0.22, 0.13)))
     sample = uniform_samples(mi, count).next_2d()
     every, end = mi.Bool(True), mi.Float(dr.inf)
-    direction, target = light.sample_point(x, sample, every)
+    direction, target = light.sample_point(x, mi.Vector3f(0), sample, every)
     weight = light.contribution(target, mi.Float(b), every)
     plain = mi.warp.square_to_uniform_sphere(uniform_samples(mi, count, 1).next_2d())
     rest = light.received(x, x, plain, mi.Float(1 / b), end, every)

@@ -1,5 +1,7 @@
 """Levels of a light field: they have its light, and receivers see no border between them."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -114,25 +116,25 @@ def test_sampled_irradiance_is_the_mean_over_levels(mi, light):
     import drjit as dr
 
     count = 1 << 19
-    n = mi.Vector3f(-0.8, -0.6, 0)
-    for limit in light.choice._limits:
-        for part in (0.55, 0.8, 1.1):
+    for limit, part in itertools.product(light.choice._limits, (0.1, 0.55, 0.8, 1.1)):
+        # Towards the lamp, and along a horizon that divides it.
+        for n in (mi.Vector3f(-0.8, -0.6, 0), mi.Vector3f(-0.6, 0.8, 0)):
             x = on_device(mi.Point3f, [HALF * [1, 1, 0.2] + part * limit * np.array([0.8, 0.6, 0])])
             dr.make_opaque(x)
             samples = uniform_samples(mi, count)
-            direction, target = light.sample_point(x, samples.next_2d())
+            direction, target = light.sample_point(x, n, samples.next_2d())
             weight = light.contribution(target, mi.Float(0)) * dr.maximum(dr.dot(direction, n), 0)
             weight = np.array(weight, np.float64)[1]
             level = light.choice.sample(x, samples.next_1d())
             pmf = np.bincount(np.array(level), minlength=4) / count
-            many = dr.gather(mi.Point3f, x, dr.zeros(mi.UInt32, 256))
+            many = dr.gather(mi.Point3f, x, dr.zeros(mi.UInt32, 1024))
             sums = np.array([irradiance(mi, light, many, n, each) for each in range(4)])
             expected = (pmf @ sums).mean()
-            noise = np.hypot(weight.std() / count**0.5, (pmf @ sums).std() / 16)
-            assert noise < 5e-3 * expected
+            noise = np.hypot(weight.std() / count**0.5, (pmf @ sums).std() / 32)
+            assert noise < 1e-2 * expected
             assert abs(weight.mean() - expected) < 4 * noise + 1e-3 * expected
             # The error that is allowed is a root mean square over all directions.
-            assert weight.mean() == pytest.approx(sums[0].mean(), rel=0.04)
+            assert n.x[0] > -0.7 or weight.mean() == pytest.approx(sums[0].mean(), rel=0.04)
 
 
 def test_a_lamp_whose_light_is_all_straight_has_levels(mi):
@@ -145,7 +147,9 @@ def test_a_lamp_whose_light_is_all_straight_has_levels(mi):
     straight = make_light_field(cells, np.ones(shape), DEPTH, bent=np.zeros(shape))
     light = DeviceLight(straight.bent_light, HALF, levels=True)
     x = dr.full(mi.Point3f, 3.0, 1 << 10)
-    direction, target = light.sample_point(x, uniform_samples(mi, 1 << 10).next_2d())
+    direction, target = light.sample_point(
+        x, -mi.Vector3f(x), uniform_samples(mi, 1 << 10).next_2d()
+    )
     weight = np.array(light.contribution(target, mi.Float(0.1)))
     assert np.isfinite(np.array(direction)).all()
     assert (weight >= 0).all()

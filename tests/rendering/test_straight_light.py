@@ -56,7 +56,7 @@ def irradiance(mi, light, points, normals, inside=False, count=1 << 15):
     random.seed(0, len(points) * count)
     sample, active = random.next_2d(), dr.full(mi.Bool, True, len(points) * count)
     target = Target.at(dr.zeros(mi.Float, len(points) * count))
-    light.choose(x, sample, target, active, mi.Bool(inside))
+    light.choose(x, n, sample, target, active, mi.Bool(inside))
     active &= target.place == STRAIGHT
     direction = light.sample(x, target, sample, active)
     found = dr.select(active, target.light * dr.maximum(dr.dot(direction, n), 0), 0)

@@ -572,11 +572,12 @@ def emitter_light(
     """
     active = dr.full(mi.Bool, True, dr.width(si.p))
     # Lamps are selected by their unshadowed light: a shadowed lamp may give most of it.
-    selected = scene.selection.sample(si, mi.Vector3f(si.n), mi.UInt32(NONE), sampler, active)
+    n = mi.Vector3f(si.n)
+    selected = scene.selection.sample(si, n, mi.UInt32(NONE), sampler, active)
     active &= selected.weight > 0
     emitter = scene.emitter(selected.index, active)
-    sample = selected.sample
-    sampled = scene.lamps.call("sample_target", emitter, si, sample, mi.Bool(False), active)
+    sample, own = selected.sample, mi.Bool(False)
+    sampled = scene.lamps.call("sample_target", emitter, si, n, sample, own, active)
     ds = sampled.ds
     cosine = dr.maximum(dr.dot(si.n, ds.d), 0)
     found = active & sampled.valid & (cosine > 0)

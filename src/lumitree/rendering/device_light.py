@@ -91,6 +91,7 @@ from lumitree.rendering.sampling import (
     Reservoir,
     Target,
     cone_pdf,
+    cosine_weight,
     divide_sample,
     sample_cone,
     sample_row,
@@ -98,11 +99,11 @@ from lumitree.rendering.sampling import (
 )
 
 # Cells of receivers, see `ReceiverCells`: with levels, and without.
-_RECEIVERS, _ROUGH = (16, 4, 0.3), (4, 1, 1.2)
+RECEIVERS, _ROUGH = (16, 6, 1 / 3), (4, 1, 1.2)
 # Entries of the table, of 8 bytes: lamps with more cells have fewer rows.
 _MAX_ENTRIES = 1 << 24
 # Candidates of which a point is chosen, at level 0 and at others. With more, a sample takes longer
-# than its noise is worth.
+# than its noise is worth, but for receivers near the box (`DeviceLight.row`).
 _CANDIDATES, _FAR_CANDIDATES = 4, 2
 # Cells of receivers a side in the box, and entries of their table: lamps with more cells have half
 # as many cells of receivers a side.
@@ -220,16 +221,18 @@ class CellLight:
     def sample_point(
         self,
         x: mi.Point3f,
+        normal: mi.Vector3f,
         sample: mi.Point2f,
         active: mi.Bool | bool = True,
         smooth: bool = False,
     ) -> tuple[mi.Vector3f, Target]:
         """Direction towards a point of a cell of the receiver's level, and the point.
 
-        Resampled importance sampling: the weight of a candidate is its `contribution` with a b of
-        1 / πR, about the b of a diffuse surface; R is the radius of the lamp's bounding sphere.
+        Resampled importance sampling: the weight of a candidate is its `contribution` to a diffuse
+        surface, about: with a b of 1 / πR, R the radius of the bounding sphere, times its cosine.
 
         Args:
+            normal: as of `cosine_weight`.
             smooth: whether the weight is of `smooth_light`: 0 only where this has no derivatives.
         """
         # Bits of the sample that the candidates do not depend on.
@@ -250,7 +253,7 @@ class CellLight:
                 light = dr.sum(self.smooth_light(cell, -offset, far, mi.Bool(active)))
             else:
                 light = dr.sum(self.light(cell, bins, far, mi.Bool(active)))
-            light /= pmf * squared + volume * self._diffuse
+            light *= cosine_weight(normal, offset, 0) / (pmf * squared + volume * self._diffuse)
             reservoir.add(light, (offset, cell, pmf, bins))
             candidate += 1
         direction, target.cell, target.pmf, target.bins = reservoir.kept
@@ -367,7 +370,7 @@ class DeviceLight(CellLight):
         levels: bool = False,
     ) -> None:
         super().__init__(half_extents, field.resolution)
-        self._half_extents, self._receivers = half_extents, _RECEIVERS if levels else _ROUGH
+        self._half_extents, self._receivers = half_extents, RECEIVERS if levels else _ROUGH
         bins = field.dense(luminance(unpack(field.intensity)))
         flux = np.asarray(bins * solid_angles(field.resolution), np.float64)
         by_cell = flux.sum(axis=1)
@@ -454,8 +457,11 @@ class DeviceLight(CellLight):
     def row(self, x: mi.Point3f, sample: mi.Float) -> Row:
         level = self.choice.sample(x, sample)
         record = dr.gather(mi.Vector4u, self._tables.records, level)
-        index = self._tables.around[0].index(x, mi.Vector2u(record.y, record.z))
-        return Row(index, level, record.x, record.w)
+        around = self._tables.around[0]
+        index = around.index(x, mi.Vector2u(record.y, record.z))
+        # Rows fit less well near the box: in the last two shells, two and three times as many.
+        more = dr.maximum(index // around.num_bins + record.y, 3) - 2
+        return Row(index, level, record.x, record.w * more)
 
     def light(
         self, cell: mi.UInt32, bins: mi.UInt32, distance: mi.Float, active: mi.Bool

@@ -456,22 +456,27 @@ class PlacedLamp(PlacedAsset):
     # ---------------------- Emitter sampling ----------------------
 
     def sample_target(
-        self, it: mi.Interaction3f, sample: mi.Point2f, self_light: mi.Bool, active: mi.Bool
+        self,
+        it: mi.Interaction3f,
+        normal: mi.Vector3f,
+        sample: mi.Point2f,
+        self_light: mi.Bool,
+        active: mi.Bool,
     ) -> EmitterSample:
         """Sample a direction to stored light, or to the lamp's emitters; cheap.
 
         With `self_light`, from vertices on the lamp's surfaces and in its media, it leads to the
-        emitters.
+        emitters. `normal` is as of `EmitterSelection.sample`.
         """
-        at = self.local_point(it.p)
+        at, n = self.local_point(it.p), self._rotation.T @ normal
         x = self.receiver(at)
         inside = self.in_box(x) if self.lights_inside else mi.Bool(False)
-        direction, target = self._sample_stored(x, sample, active & ~self_light, inside)
+        direction, target = self._sample_stored(x, n, sample, active & ~self_light, inside)
         straight = mi.Bool(False)
         if self.straight is not None:
             traced = active & (self_light | self.traces_straight_light)
             target.total = dr.select(self_light, 0, target.total)
-            self.straight.choose(at, sample, target, traced, inside | self_light)
+            self.straight.choose(at, n, sample, target, traced, inside | self_light)
             straight = traced & (target.place == STRAIGHT)
             found = self.straight.sample(at, target, sample, straight)
             direction = dr.select(straight, found, direction)
@@ -502,20 +507,16 @@ class PlacedLamp(PlacedAsset):
         """From a receiver to a point of the lamp, local frame."""
         return mi.Vector3f(point - self.receiver(self.local_point(it.p)))
 
-    def _sample_stored(self, x, sample, active, inside):
+    def _sample_stored(self, x, n, sample, active, inside):
         """Direction (local frame) to a point of stored light, and the point; or uniform."""
         if self.stored is None:
             return self.proxy.sample(x, sample), Target.at(mi.Float(-dr.inf))
-        smooth = self.tracked
-        direction, target = self.stored.sample_point(x, sample, active & ~inside, smooth=smooth)
+        found = self.stored.sample_point(x, n, sample, active & ~inside, self.tracked)
         if self.lights_inside:
             light = self._inside_light()
-            inside_direction, inside_target = light.sample_point(
-                x, sample, active & inside, smooth=smooth
-            )
-            direction = dr.select(inside, inside_direction, direction)
-            target = dr.select(inside, inside_target, target)
-        return direction, target
+            at = light.sample_point(x, n, sample, active & inside, self.tracked)
+            found = dr.select(inside, at, found)
+        return found
 
     def _inside_light(self) -> CellLight:
         return self.device.inside_light(self.traces_straight_light)
@@ -759,7 +760,7 @@ class OtherEmitter:
     def __init__(self, emitter: mi.Emitter | None) -> None:
         self._emitter = emitter
 
-    def sample_target(self, it, sample, self_light, active):
+    def sample_target(self, it, normal, sample, self_light, active):
         if self._emitter is None:
             return dr.zeros(EmitterSample)
         ds, weight = self._emitter.sample_direction(it, sample, active)

@@ -586,7 +586,7 @@ def sample_emitter(
     emitter = scene.emitter(selected.index, active)
     self_light = active & (selected.index == vertex.owner)
     sampled = scene.lamps.call(
-        "sample_target", emitter, vertex.si, selected.sample, self_light, active
+        "sample_target", emitter, vertex.si, normal, selected.sample, self_light, active
     )
     active &= sampled.valid
     return EmitterChoice(emitter, selected, sampled, active)

@@ -4,8 +4,9 @@ Each row is in proportion to the root mean square of the light that cells send t
 of its cell of receivers, a part of it to the flux of cells.
 
 Cells of receivers around a lamp are bins of direction from its centre (`core.octahedral`) times
-shells of equal width in R / distance, in which parallax is linear; R is the radius of the lamp's
-bounding sphere. The innermost shell is unbounded. In the lamp's box, cells of receivers are a grid.
+shells of equal width in R / (g + R / 2), in which parallax is about linear; R is the radius of the
+lamp's bounding sphere, and g the distance beyond the lamp's box on the way from the centre. In the
+lamp's box, cells of receivers are a grid.
 Receivers that are farther away get sums of cells (`light_levels`): `LevelChoice`.
 
 Symbols
@@ -143,7 +144,7 @@ class ReceiverCells:
 
     Args:
         resolution: bins of direction a side.
-        shell_width: of a shell in R / distance.
+        shell_width: of a shell in R / (g + R / 2).
         first_shell: receivers that are farther away are in this one.
     """
 
@@ -160,8 +161,8 @@ class ReceiverCells:
         self.count = num_shells * self.num_bins
         self._width = shell_width
         self._shells = parameter(mi.Vector2u, first_shell, first_shell + num_shells - 1)
-        self._radius = parameter(mi.Float, float(np.linalg.norm(half_extents)))
-        self._half = parameter(mi.Point3f, *half_extents.tolist())
+        self._scale = parameter(mi.Float, shell_width / float(np.linalg.norm(half_extents)))
+        self._inverse = parameter(mi.Vector3f, *(1 / half_extents).tolist())
 
     def index(self, x: mi.Point3f, shells: mi.Vector2u | None = None) -> mi.UInt32:
         """Index of the cell of a point.
@@ -170,8 +171,9 @@ class ReceiverCells:
         """
         first, last = self._shells if shells is None else shells
         offset = mi.Vector3f(x)
-        nearness = self._radius * dr.rsqrt(dr.squared_norm(offset)) / self._width
-        shell = dr.clip(mi.UInt32(dr.minimum(nearness, mi.Float(last))), first, last) - first
+        gap = dr.norm(offset) * (1 - dr.rcp(dr.max(dr.abs(offset) * self._inverse)))
+        place = dr.rcp(dr.fma(dr.maximum(gap, 0), self._scale, self._width / 2))
+        shell = dr.clip(mi.UInt32(dr.minimum(place, mi.Float(last))), first, last) - first
         return shell * self.num_bins + bin_of(offset, self.resolution, bevelled=False)
 
     def point(self, cell: mi.UInt32, sample: mi.Point2f, depth_sample: mi.Float) -> mi.Point3f:
@@ -179,12 +181,11 @@ class ReceiverCells:
         direction, _ = direction_in_bin(
             cell % self.num_bins, sample, self.resolution, bevelled=False
         )
-        shell = cell // self.num_bins + self._shells.x
-        nearness = (mi.Float(shell) + depth_sample) * self._width
-        surface = dr.min(self._half / dr.abs(direction))
-        # Beyond 50 R nothing changes any more but the rounding.
-        distance = dr.maximum(self._radius / dr.maximum(nearness, 0.02), 1.001 * surface)
-        return mi.Point3f(direction * distance)
+        place = mi.Float(cell // self.num_bins + self._shells.x) + depth_sample
+        surface = dr.rcp(dr.max(dr.abs(direction) * self._inverse))
+        # Far away nothing changes any more but the rounding.
+        gap = (dr.rcp(dr.maximum(place, 0.02)) - self._width / 2) / self._scale
+        return mi.Point3f(direction * (1.001 * surface + dr.maximum(gap, 0)))
 
 
 class InsideReceivers:
@@ -219,28 +220,22 @@ class LevelChoice:
     """
 
     def __init__(self, half_extents: NDArray[np.float64], limits: NDArray[np.float64]) -> None:
-        self._radius, self._inner = float(np.linalg.norm(half_extents)), float(half_extents.min())
-        self._limits = limits
+        self._radius, self._limits = float(np.linalg.norm(half_extents)), limits
         self._half = parameter(mi.Vector3f, *half_extents.tolist())
-        padded = np.full(MAX_SUMS, np.inf)
-        padded[: len(limits)] = limits
-        self._on_device = [parameter(mi.Float, limit) for limit in padded.tolist()]
+        padded = limits.tolist() + [np.inf] * (MAX_SUMS - len(limits))
+        self._on_device = [parameter(mi.Float, limit) for limit in padded]
 
     def sample(self, x: mi.Point3f, sample: mi.Float) -> mi.UInt32:
         """Level of a receiver, for a sample in [0, 1)."""
         outside = dr.maximum(dr.abs(mi.Vector3f(x)) - self._half, 0)
         distance = dr.norm(outside) * dr.fma(_BLEND, sample, 1)
-        level = mi.UInt32(0)
-        for limit in self._on_device:
-            level += dr.select(distance > limit, mi.UInt32(1), 0)
-        return level
+        return sum((mi.UInt32(distance > limit) for limit in self._on_device), mi.UInt32(0))
 
     def shells(self, level: int, width: float, num_shells: int) -> tuple[int, int]:
         """First and last shell of this width (`ReceiverCells`) with receivers of a level."""
         starts = np.concatenate([[0.0], self._limits / (1 + _BLEND), [np.inf]])
-        nearest = max(starts[level] + self._inner, 1e-3)
-        farthest = np.append(self._limits, np.inf)[level] + self._radius
-        first, last = (
-            min(int(self._radius / at / width), num_shells - 1) for at in (farthest, nearest)
-        )
+        # g is at least the distance of a receiver from the box, and at most R more.
+        radius, farthest = self._radius, np.append(self._limits, np.inf)[level] + self._radius
+        shells = radius / (np.array([farthest, starts[level]]) + radius / 2) / width
+        first, last = np.minimum(shells, num_shells - 1).astype(int).tolist()
         return first, last

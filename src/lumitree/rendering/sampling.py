@@ -22,6 +22,8 @@ from lumitree.core.device import parameter
 from lumitree.lamp.emitting_surfaces import four_numbers
 
 _PARALLEL = 1e-12
+# Least cosine by which candidates are weighted: a BSDF may have another normal.
+_LEAST = 0.1
 # Part of the samples that is taken uniformly.
 UNIFORM_FRACTION = 0.1
 # Kind of a target: bent light (or all) for receivers outside the box or inside; or straight light.
@@ -76,6 +78,15 @@ def divide_sample(sample: mi.Float, fraction: mi.Float | float) -> tuple[mi.Bool
 def scrambled(sample: mi.Point2f) -> mi.Point3f:
     """The first three of `four_numbers`."""
     return mi.Point3f(*four_numbers(sample)[:3])
+
+
+def cosine_weight(normal: mi.Vector3f, offset: mi.Vector3f, behind: float = _LEAST) -> mi.Float:
+    """Cosine at a receiver for the choice among candidates; `behind` for those behind its surface.
+
+    The normal is towards the side that light comes from; 0 where it may come from both.
+    """
+    cosine = dr.dot(normal, offset) * dr.rsqrt(dr.squared_norm(offset))
+    return dr.select(cosine < 0, behind, dr.maximum(cosine, _LEAST))
 
 
 # Dr.Jit variables that a `Reservoir` keeps together.

@@ -33,9 +33,9 @@ from lumitree.core.device import on_device, parameter
 from lumitree.core.octahedral import bin_of, middle_directions
 from lumitree.lamp.emitting_surfaces import even_places
 from lumitree.octree.build import morton
-from lumitree.rendering.device_light import smooth_bin
+from lumitree.rendering.device_light import RECEIVERS, smooth_bin
 from lumitree.rendering.light_table import ReceiverCells, cell_rows
-from lumitree.rendering.sampling import STRAIGHT, Reservoir, Target, scrambled
+from lumitree.rendering.sampling import STRAIGHT, Reservoir, Target, cosine_weight, scrambled
 
 # Clusters at most, the depth of the finest grid whose cells they are, and how many are candidates.
 _CLUSTERS, _DEPTH, _CANDIDATES = 16, 5, 2
@@ -43,8 +43,6 @@ _CLUSTERS, _DEPTH, _CANDIDATES = 16, 5, 2
 # direction, within the cosine, and of the light of unoccluded emitters. And part of the mean over
 # all directions that is added to the unoccluded light.
 _MISSED, _AROUND, _HARDLY, _ANYWHERE = 0.01, math.cos(math.radians(8)), 1e-9, 0.2
-# Cells of receivers, see `ReceiverCells`.
-_RECEIVERS = (16, 4, 0.3)
 # Bins of direction a side, and entries of the table of elements by direction: lamps with more
 # elements have fewer bins.
 _BINS, _MAX_ENTRIES = 16, 1 << 21
@@ -108,7 +106,7 @@ class StraightLight:
         # Intensities of clusters for receivers outside the box, and inside.
         self._intensity = on_device(mi.Float, np.stack([outside, bare]))
         self._clusters = parameter(mi.UInt32, len(flux))
-        self._around = ReceiverCells(half_extents, *_RECEIVERS)
+        self._around = ReceiverCells(half_extents, *RECEIVERS)
         scale = parameter(mi.Float, max(float(outside.max()), 1e-30))
         rows = cell_rows(self._around, corners, self._towards, scale, flux)
         self._table = AliasTable(rows, (self._around.count + 1, len(flux)))
@@ -129,7 +127,13 @@ class StraightLight:
         return dr.gather(mi.Float, self._intensity, index, active)
 
     def choose(
-        self, x: mi.Point3f, sample: mi.Point2f, target: Target, active: mi.Bool, inside: mi.Bool
+        self,
+        x: mi.Point3f,
+        normal: mi.Vector3f,
+        sample: mi.Point2f,
+        target: Target,
+        active: mi.Bool,
+        inside: mi.Bool,
     ) -> None:
         """Let a target be one of straight light, with the probability of its part of the light.
 
@@ -138,7 +142,7 @@ class StraightLight:
 
         Args:
             x: receiver, anywhere.
-            sample: in the unit square, as for the target.
+            normal, sample: as for the target.
             target: of stored light; changed. A `total` of 0 for straight light alone.
             inside: receivers in the box.
         """
@@ -150,6 +154,7 @@ class StraightLight:
             cluster, pmf = self._table.sample(row, reservoir.place, active)
             offset, size = self._offset(x, cluster, active)
             light = self._sent(cluster, offset, inside, active)
+            light *= cosine_weight(normal, -offset)
             light /= pmf * (dr.squared_norm(offset) + size)
             reservoir.add(light, (cluster, pmf))
         total = dr.select(active, reservoir.mean, 0)
