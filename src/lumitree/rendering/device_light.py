@@ -450,7 +450,7 @@ class DeviceLight(CellLight):
         )
 
         def towards(cell, offset, _distance):
-            return self.intensity(cell + start, bin_of(offset, self._resolution), True)
+            return self.intensity(cell + start, smooth_bin(offset, self._resolution), True)
 
         return cell_rows(around, corners, towards, self.scale, flux)
 

@@ -80,8 +80,11 @@ def cell_rows(
     def square(first: int) -> mi.Float:
         points = _ROWS_AT_ONCE * _POINTS_PER_CELL
         rng = random_numbers(points, first)
-        row = parameter(mi.UInt32, first) + dr.arange(mi.UInt32, points) // _POINTS_PER_CELL
-        sample = mi.Point2f(rng.next_float32(), rng.next_float32())
+        # One in each of 4 x 4 parts of the cell: light that is in one bin alone is not missed.
+        point = dr.arange(mi.UInt32, points)
+        part = mi.Point2f(point % 4, point // 4 % 4)
+        sample = (part + mi.Point2f(rng.next_float32(), rng.next_float32())) / 4
+        row = parameter(mi.UInt32, first) + point // _POINTS_PER_CELL
         x = receivers.point(row, sample, rng.next_float32())
         cell = dr.arange(mi.UInt32, _ROWS_AT_ONCE * len(flux))
         random = random_numbers(dr.width(cell), first)
