@@ -362,8 +362,7 @@ class DividedScene:
         if not (same and lit and poses == self._poses[0]):
             if not same:
                 self._surfaces = whole = _scene_of(groups, surfaces)
-                crossed = [each for each in surfaces if may_be_null(each)]
-                opaque = [each for each in surfaces if not may_be_null(each)]
+                crossed, opaque = ([s for s in surfaces if may_be_null(s) == b] for b in (1, 0))
                 self._shadows = None, whole
                 if crossed and opaque and not _one_scene_only():
                     self._shadows = _scene_of([], opaque), _scene_of(groups, crossed)
@@ -381,8 +380,8 @@ class DividedScene:
             if not passes and self._outside_lamps is None:
                 self._outside_lamps = _scene_of(groups, self._others)
             outside_lamps = self._surfaces if passes else self._outside_lamps
-        proxies, (blocking, others) = Proxies(emitters), self._shadows
-        return Divided(self._surfaces, proxies, outside_lamps, passes, owners, blocking, others)
+        found = self._surfaces, Proxies(emitters), outside_lamps, passes, owners
+        return Divided(*found, *self._shadows)
 
 
 def _one_scene_only() -> bool:
