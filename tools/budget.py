@@ -26,7 +26,7 @@ LINES = {
     "many": 620,
     "measure": 6_855,
     "octree": 1_050,
-    "rendering": 9_980,
+    "rendering": 9_990,
     "trace": 1_900,
     "viewer": 1_965,
 }

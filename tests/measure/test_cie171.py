@@ -88,10 +88,7 @@ def wall(mi, centre, first, second, reflectance=0.0, **more):
 
 def emission(luminance):
     """Emitter of an even luminance, cd/m²."""
-    return {
-        "type": "area",
-        "radiance": {"type": "rgb", "value": luminance / LUMENS_PER_WATT},
-    }
+    return {"type": "area", "radiance": {"type": "rgb", "value": luminance / LUMENS_PER_WATT}}
 
 
 # Faces of a cube of half side 1: normal into the cube, and two edges whose cross product it is.

@@ -7,14 +7,7 @@ import numpy as np
 import pytest
 
 from lumitree.errors import LumitreeError
-from lumitree.measure.dimming import (
-    Dimmers,
-    Task,
-    TaskPlane,
-    best_step,
-    dim_levels,
-    equal_level,
-)
+from lumitree.measure.dimming import Dimmers, Task, TaskPlane, best_step, dim_levels, equal_level
 
 
 def task(seed=0, lamps=3, points=30, fixed=20.0, error=0.0, **needed):

@@ -12,12 +12,7 @@ from lumitree.core.frames import LocalFrame, rotation, similarity
 from lumitree.core.photometry import luminance
 from lumitree.errors import LumitreeError
 from lumitree.formats.light_field import bake_distribution
-from lumitree.formats.type_c import (
-    Grid,
-    IntensityDistribution,
-    angles_of,
-    node_solid_angles,
-)
+from lumitree.formats.type_c import Grid, IntensityDistribution, angles_of, node_solid_angles
 from lumitree.measure import far_field as module
 from lumitree.measure.batches import BATCHES, jackknife
 from lumitree.measure.far_field import (
@@ -342,10 +337,7 @@ def test_planes_and_widths():
     grid = Grid(30)
     intensity = np.add.outer(grid.c, grid.gamma)
     curve = plane_curve(grid, intensity, 90.0)
-    assert curve.tolist() == [
-        *[90, 120, 150, 180, 210, 240, 270],
-        *[420, 390, 360, 330, 300],
-    ]
+    assert curve.tolist() == [*[90, 120, 150, 180, 210, 240, 270], *[420, 390, 360, 330, 300]]
     # Half of the largest value, 10, is reached 15 degrees to one side and 30 to the other.
     assert width_at(np.array([0.0, 5, 10, 0, 0, 0]), 30, 0.5) == 45
     assert width_at(np.array([10.0, 0, 0, 0, 0, 5]), 30, 0.5) == 45

@@ -66,12 +66,7 @@ CASES = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "name",
-    [
-        slow("narrow beam"),
-        "street light",
-        slow("floodlight of Type B"),
-    ],
+    "name", [slow("narrow beam"), "street light", slow("floodlight of Type B")]
 )
 def test_intensities_there_and_back(mi, tmp_path, name):
     """Against what the file was sampled from, at its angles: by the file, and by its asset."""

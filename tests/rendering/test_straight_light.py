@@ -1,6 +1,7 @@
 """Straight light, which is traced on a lamp's own emitters: closed forms, and explicit lamps."""
 
 import dataclasses
+import itertools
 import math
 
 import numpy as np
@@ -302,10 +303,15 @@ def test_images_of_open_emitters(mi, lamps, name, view):
     assert_alike(found, blocks(mi, explicit, sensor, spp=512, integrator=integrator), 0.03)
 
 
-def received(scene, points, normals, samples=1 << 12):
-    """Irradiance of points of a scene, in a box too, by emitter sampling and rays of a BSDF."""
+SPECK = {"type": "sphere", "radius": 0.01, "center": [0.9, -0.9, 0.9]}
+
+
+def received(mi, asset, points, normals, samples=1 << 12, appearance="geometry"):
+    """Irradiance of points around a lamp and in it, by emitter sampling and rays of a BSDF."""
     from benchmarks.inside_box.received import received_irradiance
 
+    lamp = lumitree.shape(asset, appearance=appearance)
+    scene = mi.load_dict({"type": "scene", "lamp": lamp, "speck": SPECK})
     return received_irradiance(scene, points, normals, samples)
 
 
@@ -331,11 +337,35 @@ def test_receivers_near_an_emitter(mi, panel):
     """They get what a hemisphere of its radiance gives, without rare bright samples."""
     heights = np.array([1e-2, 1e-3, 1e-4])
     points = np.stack([0 * heights + 0.1, 0 * heights + 0.1, heights], axis=1)
-    scene = mi.load_dict({"type": "scene", "lamp": lumitree.shape(panel, appearance="geometry")})
     square = np.array([[-0.5, -0.5, 0], [0.5, -0.5, 0], [0.5, 0.5, 0], [-0.5, 0.5, 0]])
     expected = [of_polygon(square, x, np.array([0, 0, -1])) for x in points]
-    light = received(scene, points, np.tile([0, 0, -1], (3, 1))) / [3, 2, 1]
+    light = received(mi, panel, points, np.tile([0, 0, -1], (3, 1))) / [3, 2, 1]
     assert light == pytest.approx(np.repeat(np.reshape(expected, (3, 1)), 3, axis=1), rel=0.02)
+
+
+def test_a_plate_just_before_an_emitter_hides_it(mi, tmp_path):
+    """Shadow rays from afar end less than the gap of 2 mm before their goal."""
+    emits = placed_shape("rectangle", "panel", glows(3, 2, 1), (0.5, 0.5, 1))
+    plate = cube("plate", (0.6, 0.6, 5e-4), (0, 0, 2e-3), BLACK)
+    below = sphere("below", 0.1, (0, 0, -0.3), glows(1, 1, 1))
+    asset = baked(tmp_path, emits, plate, below, *CORNERS, paths=1 << 16)[1]
+    light = received(mi, asset, np.array([[0.1, 0, 20], [0.3, 0, 8]]), np.tile([0, 0, -1], (2, 1)))
+    assert not light.any()
+
+
+def test_emitters_with_smooth_normals_emit_in_front_alone(mi, tmp_path):
+    """A cube's smooth normals face a far receiver on 0.35 of a side that is turned away."""
+    corners = itertools.product((-1, 1), repeat=3)
+    lines = [f"v {x} {y} {z}\nvn {x} {y} {z}" for x, y, z in corners]
+    faces = "1 2 4 3", "5 7 8 6", "1 5 6 2", "3 4 8 7", "1 3 7 5", "2 6 8 4"
+    lines += ["f " + " ".join(f"{i}//{i}" for i in face.split()) for face in faces]
+    (tmp_path / "cube.obj").write_text("\n".join(lines))
+    inside = '<string name="filename" value="cube.obj"/>' + glows(1, 1, 1)
+    lamp = lamp_of(tmp_path, placed_shape("obj", "cube", inside), *CORNERS)
+    x = 1000 * np.array([[1, 0, 0.3]]) / math.hypot(1, 0.3)
+    light, _ = irradiance(mi, straight(lamp), x, -x)
+    area = lamp.frame.scale**-2 * 4 * (1 + 0.65 * 0.3) / math.hypot(1, 0.3)
+    assert light == pytest.approx(np.full((1, 3), area / 1000**2), rel=0.02)
 
 
 SMALL = (
@@ -364,7 +394,6 @@ AROUND = np.array([[3, 1, 0.5], [1.03, 0.4, 0.1], [0.4, 0.5, 0.3], [0, -2, 0.1],
 TO_BULB = [0, 0.1, 0] - AROUND
 FREE = np.pi * 0.15**2 / (TO_BULB**2).sum(axis=1) * [1, 1, 1, 0, 0]
 RADIANCE = np.array([6.0, 5.0, 3.0])
-SPECK = {"type": "sphere", "radius": 0.01, "center": [0.9, -0.9, 0.9]}
 
 
 def test_straight_light_comes_from_emitters_alone(mi, small):
@@ -372,12 +401,8 @@ def test_straight_light_comes_from_emitters_alone(mi, small):
     _, asset = small
     assert not asset.light_field.bent.any()
     for dark in (False, True):
-        shown = without_emitters(asset) if dark else asset
-        lamp = lumitree.shape(shown, appearance="geometry")
-        light = received(
-            mi.load_dict({"type": "scene", "lamp": lamp, "speck": SPECK}), AROUND, TO_BULB
-        )
-        expected = 0 * FREE if dark else FREE
+        shown, expected = (without_emitters(asset), 0 * FREE) if dark else (asset, FREE)
+        light = received(mi, shown, AROUND, TO_BULB)
         assert light / RADIANCE == pytest.approx(
             np.repeat(expected[:, None], 3, axis=1), rel=0.03, abs=1e-6
         )
@@ -392,11 +417,8 @@ def test_light_of_glass_comes_from_the_light_field_alone(mi, tmp_path):
     )[1]
     assert asset.light_field is not None
     assert not asset.light_field.has_straight_light
-    found = []
-    for shown in (asset, without_emitters(asset)):
-        lamp = lumitree.shape(shown, appearance="geometry")
-        scene = mi.load_dict({"type": "scene", "lamp": lamp, "speck": SPECK})
-        found.append(received(scene, AROUND[:3], TO_BULB[:3]))
+    shown = asset, without_emitters(asset)
+    found = [received(mi, each, AROUND[:3], TO_BULB[:3]) for each in shown]
     assert found[0] == pytest.approx(found[1], rel=0.05)
     assert found[0] / RADIANCE == pytest.approx(np.repeat(FREE[:3, None], 3, axis=1), rel=0.25)
 
@@ -410,13 +432,8 @@ def test_bent_light_is_the_same_beside_straight_light(mi, tmp_path):
     normals = np.array([[0, -1, 0], [1, -1, 0], [-0.2, -1, 0.2]])
     assert asset.light_field is not None
     alone = dataclasses.replace(asset, geometry=None, light_field=asset.light_field.bent_light)
-    found = []
-    for lamp in (
-        lumitree.shape(asset, appearance="geometry"),
-        lumitree.shape(alone, appearance="field"),
-    ):
-        scene = mi.load_dict({"type": "scene", "lamp": lamp, "speck": SPECK})
-        found.append(received(scene, points, normals, 1 << 15))
+    shown = (asset, "geometry"), (alone, "field")
+    found = [received(mi, each, points, normals, 1 << 15, kind) for each, kind in shown]
     assert found[0] == pytest.approx(found[1], rel=0.03)
 
 
@@ -448,9 +465,8 @@ def test_where_no_light_is_traced_the_light_field_has_all(
 @pytest.mark.slow
 def test_three_lamps_and_an_environment(mi, lamps, small):
     """Two of one kind stand in the light and the box of another, and all in the light of a sky."""
-    things = room(mi) | {
-        "sky": {"type": "constant", "radiance": {"type": "rgb", "value": [0.02, 0.03, 0.05]}}
-    }
+    sky = {"type": "constant", "radiance": {"type": "rgb", "value": [0.02, 0.03, 0.05]}}
+    things = room(mi) | {"sky": sky}
     explicit, found = dict(things), dict(things)
     # Bulbs shine through the first lamp's panes, and are behind its mask.
     bulbs = (

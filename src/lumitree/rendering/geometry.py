@@ -320,7 +320,10 @@ def geometry_emitter_class() -> type:
                 return mi.Spectrum(0), mi.Float(0)
             density = self._density / dr.square(self._lamp.scale)
             pdf = density * dr.square(ds.dist) / dr.abs(dr.dot(ds.d, si.n))
-            front = active & (mi.Frame3f.cos_theta(si.wi) > 0)
+            # As light paths do: on the side of the true normal, too.
+            n = mi.Vector3f(si.n)
+            towards = dr.dot(n, si.to_world(si.wi)) * dr.dot(n, si.sh_frame.n)
+            front = active & (mi.Frame3f.cos_theta(si.wi) > 0) & (towards > 0)
             radiance = self._lamp.factor * self._factors * self._radiance(si, front)
             return dr.select(front, self._lamp.colour(radiance, si.wavelengths), 0), pdf
 

@@ -50,6 +50,8 @@ from lumitree.trace.spawning import is_opaque, offset, on_opposite_sides, scene_
 
 # Density of directions whose emitters only emitter sampling finds: its square is no denormal.
 _SAMPLED_ONLY = 1e-15
+# Part of its length by which a shadow ray ends before its goal, at least.
+_MARGIN = 2.0**-17
 
 
 @dataclass
@@ -637,9 +639,9 @@ def visible(
     whose index in the scene is `goal_lamp`, or `NONE`.
     """
     _, proxies, outside_lamps, passes, _, opaque, others = scene.divided
-    # Like Mitsuba's, a shadow ray ends before its goal; and by no less than it starts after its
-    # origin, so that rounding does not bring it to the goal.
-    margin = dr.maximum(ds.dist * mi.math.ShadowEpsilon, offset(si, scene.extent))
+    # A shadow ray ends before its goal, by no less than it starts after its origin, so that rounding
+    # does not bring it to the goal; but far nearer than Mitsuba's: filaments are thinner.
+    margin = dr.maximum(ds.dist * _MARGIN, offset(si, scene.extent))
     ray, left = _spawn_to(si, ds.p, ds.d, margin, scene.extent, active)
     if dr.hint(scene.has_media, mode="scalar"):
         medium = medium_paths.medium_after(si, ds.d, medium, left)

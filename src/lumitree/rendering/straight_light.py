@@ -186,7 +186,9 @@ class StraightLight:
         offset = mi.Vector3f(found.p - x)
         squared = dr.squared_norm(offset)
         per_area = dr.abs(dr.dot(found.n, offset)) * dr.rsqrt(squared) / squared
-        front = active & (dr.dot(found.facing, offset) < 0) & (per_area > 0)
+        # As light paths do: on the side of the true normal, too.
+        towards = dr.dot(found.n, offset) * dr.dot(found.n, found.facing)
+        front = active & (dr.dot(found.facing, offset) < 0) & (towards < 0) & (per_area > 0)
         # Radiance over the density per steradian with which the point is sampled.
         light = self._factors * found.radiance * (per_area * found.area / entry_pmf)
         target.light = dr.select(front, light * (target.factor / target.pmf), 0)
