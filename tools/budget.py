@@ -20,7 +20,7 @@ LINES = {
     "cli": 1_900,
     "core": 4_900,
     "exports": 3_600,
-    "fit": 5_830,
+    "fit": 5_820,
     "formats": 4_100,
     "lamp": 10_379,
     "many": 620,
