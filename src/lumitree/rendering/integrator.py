@@ -639,8 +639,8 @@ def visible(
     whose index in the scene is `goal_lamp`, or `NONE`.
     """
     _, proxies, outside_lamps, passes, _, opaque, others = scene.divided
-    # A shadow ray ends before its goal, by no less than it starts after its origin, so that rounding
-    # does not bring it to the goal; but far nearer than Mitsuba's: filaments are thinner.
+    # A shadow ray ends before its goal, by no less than it starts after its origin: rounding
+    # does not bring it there. But far nearer to it than Mitsuba's, since filaments are thin.
     margin = dr.maximum(ds.dist * _MARGIN, offset(si, scene.extent))
     ray, left = _spawn_to(si, ds.p, ds.d, margin, scene.extent, active)
     if dr.hint(scene.has_media, mode="scalar"):
