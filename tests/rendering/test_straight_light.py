@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -306,7 +307,7 @@ def test_images_of_open_emitters(mi, lamps, name, view):
 SPECK = {"type": "sphere", "radius": 0.01, "center": [0.9, -0.9, 0.9]}
 
 
-def received(mi, asset, points, normals, samples=1 << 12, appearance="geometry"):
+def received(mi, asset, points, normals, samples=1 << 12, appearance: Any = "geometry"):
     """Irradiance of points around a lamp and in it, by emitter sampling and rays of a BSDF."""
     from benchmarks.inside_box.received import received_irradiance
 
