@@ -115,9 +115,8 @@ def test_images_are_the_same(mi, assets, monkeypatch, case):
                 for seed in range(SEEDS)
             ]
         )
-        # Surfaces outside lamps; and those that block all light, and those that do not.
-        more = {"in the box": 1, "media": 3}.get(case, 0)
-        assert len(traced) == (1 if only else 1 + more)
+        second = not only and case in ("in the box", "media")
+        assert len(traced) == 1 + second
         assert scene not in traced
     # Equal seeds; rounding may send a few paths elsewhere.
     first, other = np.mean(images, axis=-1)

@@ -43,7 +43,7 @@ from lumitree.rendering.geometry import CROSSED_STRAIGHT, GeometryEmitter
 from lumitree.rendering.lamps import EmitterSelection, LampChoices, LampKinds, Selected
 from lumitree.rendering.layers import Layers, Record, Unrecorded
 from lumitree.rendering.null_bsdf import without_proxies
-from lumitree.rendering.proxies import MAX_CROSSINGS, NONE, Divided, DividedScene, may_be_null
+from lumitree.rendering.proxies import MAX_CROSSINGS, NONE, Divided, DividedScene, is_instance
 from lumitree.rendering.sampling import mis_weight
 from lumitree.trace import medium_paths
 from lumitree.trace.spawning import is_opaque, offset, on_opposite_sides, scene_extent, spawn
@@ -250,7 +250,10 @@ class PathScene:
         self.extent = scene_extent(scene)
         self.bsdf_ctx = mi.BSDFContext()
         # These select the code of a kernel: no scene pays for features that it does not have.
-        self.has_null_surfaces = any(map(may_be_null, divided.surfaces.shapes()))
+        self.has_null_surfaces = any(
+            is_instance(shape) or mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Null)
+            for shape in divided.surfaces.shapes()
+        )
         self.has_media = bool(media)
         self.has_scattering = any(absorption(medium) is None for medium in media)
         self.shows_geometry = any(
@@ -638,21 +641,14 @@ def visible(
     For a length `beyond` after the point, surfaces block that do not belong to the sampled lamp,
     whose index in the scene is `goal_lamp`, or `NONE`.
     """
-    _, proxies, outside_lamps, passes, _, opaque, others = scene.divided
+    surfaces, proxies, outside_lamps, passes, _ = scene.divided
     # A shadow ray ends before its goal, by no less than it starts after its origin: rounding
     # does not bring it there. But far nearer to it than Mitsuba's, since filaments are thin.
     margin = dr.maximum(ds.dist * _MARGIN, offset(si, scene.extent))
     ray, left = _spawn_to(si, ds.p, ds.d, margin, scene.extent, active)
     if dr.hint(scene.has_media, mode="scalar"):
         medium = medium_paths.medium_after(si, ds.d, medium, left)
-    blocked = mi.Bool(False)
-    if dr.hint(opaque is not None, mode="scalar"):
-        assert opaque is not None
-        # A ray of a length below 0 is reported as a hit although it is not active.
-        blocked = left & opaque.ray_test(ray, left)
-        left &= ~blocked
-    through = _transmittance(scene, others, False, goal_lamp, margin, ray, ds.p, medium, left)
-    through[blocked] = 0
+    through = _transmittance(scene, surfaces, False, goal_lamp, margin, ray, ds.p, medium, left)
     if dr.hint(outside_lamps is not None, mode="scalar"):
         assert outside_lamps is not None
         onwards = active & (beyond > 0) & (dr.max(through) > 0)
@@ -764,7 +760,11 @@ def _spawn_to(
 
 
 def find_vertex(
-    scene: PathScene, path: PathState, hit: Hit, free_flight: FreeFlight, max_depth: mi.UInt32
+    scene: PathScene,
+    path: PathState,
+    hit: Hit,
+    free_flight: FreeFlight,
+    max_depth: mi.UInt32,
 ) -> Vertex:
     """The vertex where a ray has ended."""
     si, bsdf = hit.si, hit.bsdf
@@ -789,8 +789,18 @@ def find_vertex(
         behind = straight_glass & (si.wi.z < 0)
         si.wi.z = dr.select(behind, -si.wi.z, si.wi.z)
     opaque = active_surface & is_opaque(bsdf)
-    kind = opaque, straight_glass, behind
-    return Vertex(si, bsdf, hit.owner, hit.shown, active_surface, active_medium, last, *kind)
+    return Vertex(
+        si,
+        bsdf,
+        hit.owner,
+        hit.shown,
+        active_surface,
+        active_medium,
+        last,
+        opaque,
+        straight_glass,
+        behind,
+    )
 
 
 def sample_scattering(

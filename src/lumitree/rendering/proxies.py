@@ -186,8 +186,6 @@ class Divided(NamedTuple):
             another: where lamps whose surfaces are traced have boxes that overlap, or where a
             kernel may trace one scene only.
         owners: whose surfaces are whose.
-        opaque, others: two scenes of the surfaces: those that block all light, by one test of a
-            shadow ray; and those that light may cross. None, and all, if they are not divided.
     """
 
     surfaces: mi.Scene
@@ -195,8 +193,6 @@ class Divided(NamedTuple):
     outside_lamps: mi.Scene | None
     passes: bool
     owners: Owners
-    opaque: mi.Scene | None
-    others: mi.Scene
 
     def end(
         self, ray: mi.Ray3f, distance: mi.Float, lamp: mi.UInt32, ahead: mi.UInt32, active: mi.Bool
@@ -333,7 +329,6 @@ class DividedScene:
         # Poses of all lamps, and of those whose surfaces are traced.
         self._poses: tuple[list[bytes], list[bytes]] = [], []
         self._surfaces: mi.Scene | None = None
-        self._shadows: tuple[mi.Scene | None, mi.Scene]
         self._outside_lamps: mi.Scene | None = None
         # The surfaces that belong to no lamp, and pairs of lamps that overlap.
         self._others: list[mi.Shape] = []
@@ -350,7 +345,7 @@ class DividedScene:
         surfaces = [shape for shape in shapes if lamp_of(shape.emitter()) is None]
         lamps = lamps_of(emitters)
         if not lamps:
-            return Divided(scene, Proxies([]), None, False, Owners({}), None, scene)
+            return Divided(scene, Proxies([]), None, False, Owners({}))
         groups = shape_groups(scene)
         parameters = [_parameters(shape) for shape in [*groups, *surfaces]]
         poses = [lamp.numbers.tobytes() for lamp in lamps.values()]
@@ -361,11 +356,7 @@ class DividedScene:
         lit = [lamp() for lamp in self._lit] == list(lamps.values())
         if not (same and lit and poses == self._poses[0]):
             if not same:
-                self._surfaces = whole = _scene_of(groups, surfaces)
-                crossed, opaque = ([s for s in surfaces if may_be_null(s) == b] for b in (1, 0))
-                self._shadows = None, whole
-                if crossed and opaque and not _one_scene_only():
-                    self._shadows = _scene_of([], opaque), _scene_of(groups, crossed)
+                self._surfaces = _scene_of(groups, surfaces)
             self._outside_lamps = None
             self._shapes, self._parameters, self._poses = surfaces, parameters, (poses, moving)
             owned = {number for lamp in lamps.values() for number in lamp.shape_numbers}
@@ -380,8 +371,7 @@ class DividedScene:
             if not passes and self._outside_lamps is None:
                 self._outside_lamps = _scene_of(groups, self._others)
             outside_lamps = self._surfaces if passes else self._outside_lamps
-        found = self._surfaces, Proxies(emitters), outside_lamps, passes, owners
-        return Divided(*found, *self._shadows)
+        return Divided(self._surfaces, Proxies(emitters), outside_lamps, passes, owners)
 
 
 def _one_scene_only() -> bool:
@@ -417,10 +407,9 @@ def _scene_of(groups: list[mi.Shape], shapes: list[mi.Shape]) -> mi.Scene:
     return make_object("scene", described)
 
 
-def may_be_null(shape: mi.Shape) -> bool:
-    """Whether rays may cross a shape. The BSDFs of an instance are not accessible."""
-    instance = shape.class_name() == "Instance"
-    return instance or mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Null)
+def is_instance(shape: mi.Shape) -> bool:
+    """Whether a shape repeats others, whose BSDFs are not accessible."""
+    return shape.class_name() == "Instance"
 
 
 def _parameters(shape: mi.Shape) -> list[object]:
