@@ -172,9 +172,7 @@ def scene_of(mi, asset, bsdf="diffuse", others=0, sampling="emission"):
     place = mi.ScalarTransform4f
     shapes = {
         f"lamp{i or ''}": lumitree.shape(
-            asset,
-            place().translate([-0.8 * i, 0.6, -0.5 * i]).scale(0.3),
-            sampling,  # type: ignore
+            asset, place().translate([-0.8 * i, 0.6, -0.5 * i]).scale(0.3), sampling
         )
         for i in range(others + 1)
     }
@@ -232,9 +230,9 @@ def test_gradients_are_central_differences(mi, bsdf, others, spp):
     parameters, x = mi.traverse(scene), mi.Float(BASE["x"])
     dr.enable_grad(x)
     set_lamp(mi, parameters, **BASE | {"x": x})
-    dr.forward(x, dr.ADFlag.ClearEdges)  # type: ignore
+    dr.forward(x, dr.ADFlag.ClearEdges)
     pixels = mi.render(scene, parameters, integrator=integrator, spp=1, spp_grad=spp, seed=7)
-    forward = np.array(dr.forward_to(pixels)).mean(axis=(0, 1)) @ COLOURS  # type: ignore
+    forward = np.array(dr.forward_to(pixels)).mean(axis=(0, 1)) @ COLOURS
     assert forward == pytest.approx(expected["x"], rel=0.03)
 
 

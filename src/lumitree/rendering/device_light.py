@@ -460,7 +460,8 @@ class DeviceLight(CellLight):
         around = self._tables.around[0]
         index = around.index(x, mi.Vector2u(record.y, record.z))
         # Rows fit less well near the box: in the last two shells, two and three times as many.
-        more = dr.maximum(index // around.num_bins + record.y, 3) - 2
+        shell, before = index // around.num_bins + record.y, RECEIVERS[1] - 3
+        more = dr.maximum(shell, before) - (before - 1)
         return Row(index, level, record.x, record.w * more)
 
     def light(

@@ -42,6 +42,7 @@ from lumitree.core.mitsuba_meshes import (
 )
 from lumitree.rendering.objects import load_ordered, make_object, make_properties, shape_of
 from lumitree.rendering.straight_light import EmittingSurface, emitting_surface
+from lumitree.trace.spawning import on_opposite_sides
 
 # Marks a BSDF that light crosses straight, in `flags()`; Mitsuba does not use this bit.
 CROSSED_STRAIGHT = 1 << 24
@@ -321,9 +322,9 @@ def geometry_emitter_class() -> type:
             density = self._density / dr.square(self._lamp.scale)
             pdf = density * dr.square(ds.dist) / dr.abs(dr.dot(ds.d, si.n))
             # As light paths do: on the side of the true normal, too.
-            n = mi.Vector3f(si.n)
-            towards = dr.dot(n, si.to_world(si.wi)) * dr.dot(n, si.sh_frame.n)
-            front = active & (mi.Frame3f.cos_theta(si.wi) > 0) & (towards > 0)
+            arriving, facing = -si.to_world(si.wi), mi.Vector3f(si.sh_frame.n)
+            behind = on_opposite_sides(si, arriving, facing)
+            front = active & (mi.Frame3f.cos_theta(si.wi) > 0) & ~behind
             radiance = self._lamp.factor * self._factors * self._radiance(si, front)
             return dr.select(front, self._lamp.colour(radiance, si.wavelengths), 0), pdf
 
