@@ -6,13 +6,9 @@ Symbols
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Any
-
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 
 from lumitree.core.device import on_device, parameter
 
@@ -26,28 +22,76 @@ class AliasTable:
     a row apart are stored side by side: samples at equal steps, as of a `Reservoir`, are near.
 
     Args:
-        weights: arrays [M, N] of all rows, M each, at least 0, with a positive sum in each row.
-            Probabilities are proportional to them but for the rounding.
+        weights: mi.Float of all rows, at least 0, with a positive sum in each row. Probabilities
+            are proportional to them but for the rounding.
         parts: number of rows, and N, of each part.
     """
 
-    def __init__(self, weights: Iterable[NDArray[np.float64]], *parts: tuple[int, int]) -> None:
-        bits = int(max(count for _, count in parts) - 1).bit_length()
-        steps = 1 << (32 - bits)
-        sizes = [rows * count for rows, count in parts]
-        words = np.empty((sum(sizes), 2), np.uint32)
-        first = 0
-        for each in weights:
-            block = _words(each, bits)
-            words[first : first + len(block)] = block
-            first += len(block)
-        self._words = on_device(mi.UInt32, words)
-        starts = np.cumsum([0, *sizes[:-1]])
-        self._parts = on_device(
-            mi.UInt32, np.stack([starts, [count for _, count in parts]], axis=1)
-        )
+    def __init__(self, weights: mi.Float, *parts: tuple[int, int]) -> None:
+        rows, counts = np.array(parts, np.int64).T
+        bits = int(counts.max() - 1).bit_length()
+        starts = np.cumsum([0, *rows * counts])
+        self._parts = on_device(mi.UInt32, np.stack([starts[:-1], counts], axis=1))
         self._count, self._bits = parameter(mi.UInt32, parts[0][1]), parameter(mi.UInt32, bits)
-        self._steps = parameter(mi.Float, float(steps))
+        self._steps = parameter(mi.Float, 2.0 ** (32 - bits))
+        self._words = dr.zeros(mi.UInt32, 2 * int(starts[-1]))
+        part = np.repeat(np.arange(len(parts)), rows)
+        row = np.arange(len(part)) - (np.cumsum(rows) - rows)[part]
+        first, count = (
+            on_device(mi.UInt32, each) for each in (starts[part] + row * counts[part], counts[part])
+        )
+        self._fill(weights, first, count)
+
+    @dr.syntax
+    def _fill(self, weights: mi.Float, first: mi.UInt32, count: mi.UInt32) -> None:
+        """Write rows, whose entries are `count` from `first` on: each is one lane.
+
+        Entries with q < 1 are filled by entries with q >= 1, both in order. An entry that has not
+        enough to fill the next one is itself filled by the next one of its kind.
+        """
+        words, bits, steps = self._words, self._bits, mi.Float64(self._steps)
+
+        def write(index, threshold, alias, share, active):
+            place = 2 * (first + _place(index, count))
+            word = (mi.UInt32(threshold * steps - 1) << bits) | alias
+            share = dr.reinterpret_array(mi.UInt32, mi.Float(share / count))
+            dr.scatter(words, word, place, active)
+            dr.scatter(words, share, place + 1, active)
+
+        whole, nobody = mi.Float64(1), mi.UInt32(0)
+        entry, total = mi.UInt32(0), mi.Float64(0)
+        while dr.hint(entry < count, exclude=[words]):
+            total += mi.Float64(dr.gather(mi.Float, weights, first + entry))
+            write(entry, whole, nobody, whole, mi.Bool(True))
+            entry += 1
+        scale = mi.Float64(count) / total
+        # The next entry to fill, the one that fills, whether it is known to be of that kind, q - 1
+        # less all that it has filled, and the threshold and the share of the entry before it.
+        light, heavy, known, spare = mi.UInt32(0), mi.UInt32(0), mi.Bool(False), mi.Float64(0)
+        before, left, got = mi.UInt32(count), mi.Float64(1), mi.Float64(0)
+        while dr.hint(((light < count) | (spare < 0)) & (heavy < count), exclude=[words]):
+            lights, heavies = (
+                scale * mi.Float64(dr.gather(mi.Float, weights, first + each, each < count))
+                for each in (light, heavy)
+            )
+            found, spent = ~known & (heavies >= 1), known & (spare < 0)
+            turn = known & ~spent & (light < count)
+            fills = turn & (lights < 1)
+            threshold = dr.select(found, left, dr.select(fills, lights, 1))
+            threshold = dr.clip(-dr.floor(-threshold * steps), 1, steps) / steps
+            share = threshold + dr.select(fills, 0, got)
+            at = dr.select(found, before, dr.select(fills, light, heavy))
+            write(at, threshold, heavy, share, fills | spent | (found & (before < count)))
+            filled = dr.select(found | fills, 1 - threshold, 0)
+            got = filled + dr.select(found, 0, got)
+            spare += dr.select(found, heavies - 1, dr.select(fills, lights - 1, 0))
+            left = dr.select(spent, 1 + spare, left)
+            before = dr.select(spent, heavy, before)
+            light += dr.select(turn, mi.UInt32(1), 0)
+            heavy += dr.select(spent | ~(known | found), mi.UInt32(1), 0)
+            known = (known | found) & ~spent
+        write(heavy, whole, nobody, 1 + got, known & (heavy < count))
+        dr.eval(words)
 
     def sample(
         self,
@@ -55,13 +99,18 @@ class AliasTable:
         sample: mi.Float,
         active: mi.Bool | bool = True,
         part: mi.UInt32 | None = None,
+        other: mi.Float | None = None,
     ) -> tuple[mi.UInt32, mi.Float]:
-        """Index for a sample in [0, 1), and its probability; by default in the first part."""
+        """Index for a sample in [0, 1), and its probability; by default in the first part.
+
+        `other`: sample by which an entry or its alias is taken, for rows so long that the 24 bits
+        of one are too few.
+        """
         first, count = self._row(row, part)
         scaled = sample * mi.Float(count)
         entry = dr.minimum(mi.UInt32(scaled), count - 1)
         word = dr.gather(mi.UInt32, self._words, 2 * (first + _place(entry, count)), active)
-        step = mi.UInt32((scaled - mi.Float(entry)) * self._steps)
+        step = mi.UInt32((scaled - mi.Float(entry) if other is None else other) * self._steps)
         alias = word & ((mi.UInt32(1) << self._bits) - 1)
         index = dr.select(step <= word >> self._bits, entry, alias)
         return index, self.probability(row, index, active, part)
@@ -92,73 +141,3 @@ def _place(index: mi.UInt32, count: mi.UInt32) -> mi.UInt32:
     quarter = dr.select(index >= 2 * length, mi.UInt32(2), 0)
     quarter += dr.select(index >= (quarter + 1) * length, mi.UInt32(1), 0)
     return dr.select(index < 4 * length, 4 * (index - quarter * length) + quarter, index)
-
-
-def _words(weights: NDArray[np.float64], bits: int) -> NDArray[np.uint32]:
-    """Both words [M × N, 2] of the entries of rows [M, N], each row in the order of `_place`."""
-    (rows, count), steps = weights.shape, 1 << (32 - bits)
-    threshold, alias = alias_rows(weights)
-    rounded = np.clip(np.ceil(threshold * steps), 1, steps)
-    places = (count * np.arange(rows)[:, None] + alias).ravel()
-    others = np.bincount(places, (1 - rounded / steps).ravel(), weights.size)
-    pmf = (rounded / steps).ravel() + others
-    word = (rounded.astype(np.uint64) - 1 << bits) | alias.astype(np.uint64)
-    probability = (pmf / count).astype(np.float32).view(np.uint32)
-    words = np.stack([word.astype(np.uint32), probability.reshape(rows, count)], axis=2)
-    order = np.arange(count)
-    order[: count // 4 * 4] = order[: count // 4 * 4].reshape(4, -1).T.ravel()
-    return words[:, order].reshape(-1, 2)
-
-
-def alias_rows(weights: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Thresholds [M, N] in [0, 1] and aliases [M, N] of distributions, one a row.
-
-    Entry i of a row stands for i with probability threshold[i], else for alias[i]. Entries with
-    q < 1 are filled by entries with q >= 1, both in order. So which one fills which follows from
-    cumulated sums of 1 - q and of q - 1.
-    """
-    size = weights.shape[1]
-    q = weights * (size / weights.sum(axis=1, keepdims=True))
-    heavy = q >= 1
-    lacking = np.cumsum(np.where(heavy, 0, 1 - q), axis=1)
-    spare = np.cumsum(np.where(heavy, q - 1, 0), axis=1)
-    # Light and heavy entries in order, and how many are among the first entries of a row.
-    lights, heavies = (np.argsort(each, axis=1, kind="stable") for each in (heavy, ~heavy))
-    num_light, num_heavy = (np.cumsum(_behind_0(each), axis=1) for each in (~heavy, heavy))
-    last = num_heavy[:, -1:] - 1
-    # The first heavy entry that has something to spare when a light one's turn comes.
-    before = _behind_0(lacking)[:, :-1]
-    below, _ = _merged(before, spare)
-    filler = np.minimum(np.take_along_axis(num_heavy, below, axis=1), last)
-    # A heavy entry fills light ones until it has not enough; the next heavy one fills that one.
-    ended = np.take_along_axis(num_light, _merged(lacking, spare)[1], axis=1)
-    number = num_heavy[:, 1:]
-    exhausted = heavy & (ended < num_light[:, -1:]) & (number <= last)
-    ends = np.take_along_axis(lights, np.minimum(ended, size - 1), axis=1)
-    left = np.clip(1 + spare - np.take_along_axis(lacking, ends, axis=1), 0, 1)
-    threshold = np.where(exhausted, left, np.minimum(q, 1))
-    following = np.where(heavy, np.minimum(number, size - 1), filler)
-    alias = np.take_along_axis(heavies, following, axis=1)
-    alias = np.where(exhausted | ~heavy, alias, np.arange(size))
-    # Equal weights, perhaps but for rounding.
-    equal = (last < 0) | (num_light[:, -1:] == 0)
-    return np.where(equal, 1.0, threshold), np.where(equal, np.arange(size), alias)
-
-
-def _behind_0(rows: NDArray[Any]) -> NDArray[Any]:
-    """Rows that begin with another entry of 0."""
-    return np.pad(rows, ((0, 0), (1, 0)))
-
-
-def _merged(
-    first: NDArray[np.float64], second: NDArray[np.float64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """How many entries of the other row are before each, for rows [M, N] in increasing order.
-
-    The first row's entries are before equal ones of the second.
-    """
-    size = first.shape[1]
-    order = np.argsort(np.concatenate([first, second], axis=1), axis=1, kind="stable")
-    place = np.empty_like(order)
-    np.put_along_axis(place, order, np.broadcast_to(np.arange(2 * size), order.shape), axis=1)
-    return place[:, :size] - np.arange(size), place[:, size:] - np.arange(size)

@@ -27,8 +27,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.alias_table import alias_rows
-from lumitree.core.device import channel_mean, on_device, parameter
+from lumitree.core.alias_table import AliasTable
+from lumitree.core.device import channel_mean, on_device
 from lumitree.core.mitsuba_meshes import mesh_triangles
 from lumitree.lamp.scene_shapes import referred
 
@@ -107,7 +107,6 @@ class EmittingSurfaces:
         self._shapes = mi.ShapePtr(list(shapes))
         self._emitters = mi.EmitterPtr([shape.emitter() for shape in shapes])
         self._primitives = frozenset(s.emitter().ptr for s in shapes if not s.is_mesh())
-        self._count = parameter(mi.UInt32, float(len(area)))
         self._shape_of = on_device(mi.UInt32, shape_of)
         # Whether a triangle or primitive is one of a mesh, by the shape.
         self._is_mesh = on_device(mi.Bool, [shape.is_mesh() for shape in shapes])
@@ -122,21 +121,15 @@ class EmittingSurfaces:
         self.power = float(power.sum())
         # Black shapes are sampled too, and what they emit is 0.
         used = weight if weight.sum() > 0 else area
-        threshold, alias = (each[0] for each in alias_rows(used[None]))
-        threshold = threshold.astype(np.float32).astype(np.float64)
-        pmf = (threshold + np.bincount(alias, 1 - threshold, len(area))) / len(area)
-        density = np.divide(pmf, area, out=np.zeros_like(pmf), where=area > 0)
-        self._threshold = on_device(mi.Float, threshold)
-        self._alias = on_device(mi.UInt32, alias)
-        self._density = on_device(mi.Float, density)
+        self._table = AliasTable(on_device(mi.Float, used / used.max()), (1, len(area)))
+        self._area = on_device(mi.Float, area)
 
     def sample(self, sample: mi.Point2f, active: mi.Bool | bool = True) -> SurfacePoint:
         """Sample a point; `sample` is in the unit square."""
         x, y, u, v = four_numbers(sample)
-        entry = dr.minimum(mi.UInt32(x * mi.Float(self._count)), self._count - 1)
-        taken = y < dr.gather(mi.Float, self._threshold, entry, active)
-        entry = dr.select(taken, entry, dr.gather(mi.UInt32, self._alias, entry, active))
-        density = dr.gather(mi.Float, self._density, entry, active)
+        entry, pmf = self._table.sample(mi.UInt32(0), x, active, other=y)
+        area = dr.gather(mi.Float, self._area, entry, active)
+        density = dr.select(area > 0, pmf / area, 0)
         si, index = self._point(entry, mi.Point2f(u, v), active & (density > 0))
         emitter = dr.gather(mi.EmitterPtr, self._emitters, index, active)
         return SurfacePoint(si, dr.select(si.is_valid(), density, 0), index, emitter)

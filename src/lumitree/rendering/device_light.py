@@ -40,9 +40,8 @@ field is the field of the bent light alone.
 from __future__ import annotations
 
 import functools
-import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import drjit as dr
@@ -65,7 +64,7 @@ from lumitree.asset.light_field import (
     unpack,
 )
 from lumitree.core.alias_table import AliasTable
-from lumitree.core.device import as_rows, on_device, parameter, random_numbers
+from lumitree.core.device import as_rows, concatenate, on_device, parameter, random_numbers
 from lumitree.core.octahedral import (
     bin_of,
     coarse_bin,
@@ -424,8 +423,9 @@ class DeviceLight(CellLight):
             shells = nearest - farthest + 1
             cells = ReceiverCells(self._half_extents, resolution, shells, width, farthest)
             around.append(cells)
-            rows.append(self._rows(cells, first, flux))
-            parts.append((cells.count + 1, len(flux)))
+            found, part = self._rows(cells, first, flux)
+            rows.append(found)
+            parts.append(part)
             records.append([first, farthest, nearest, _FAR_CANDIDATES if level else _CANDIDATES])
             codes = morton(self.levels[level])
             parents.append(first + np.searchsorted(codes, morton(self.levels[0] >> level)))
@@ -433,7 +433,7 @@ class DeviceLight(CellLight):
             around,
             on_device(mi.UInt32, records),
             on_device(mi.UInt32, np.stack(parents, axis=1)),
-            AliasTable(itertools.chain(*rows), *parts),
+            AliasTable(concatenate(rows), *parts),
         )
 
     @property
@@ -442,8 +442,8 @@ class DeviceLight(CellLight):
 
     def _rows(
         self, around: ReceiverCells, first: int, flux: NDArray[np.float64]
-    ) -> Iterator[NDArray[np.float64]]:
-        """Rows of the table for the cells of a level, which begin with the cell `first`."""
+    ) -> tuple[mi.Float, tuple[int, int]]:
+        """`cell_rows` of the cells of a level, which begin with the cell `first`."""
         start, count = parameter(mi.UInt32, first), len(flux)
         corners = dr.gather(
             mi.Float, self.cells.corners, dr.arange(mi.UInt32, 6 * count) + 6 * start
@@ -644,17 +644,24 @@ class InsideLight(CellLight):
         # All light of a cell may end before the first distance.
         flux = np.maximum(flux, 1e-6 * flux.max())
         cell_size = 2.0**-field.depth
-        rows = cell_rows(
-            self._receivers, self.cells.corners, towards, outside.scale, flux, softening=cell_size
+        self._table = AliasTable(
+            *cell_rows(
+                self._receivers,
+                self.cells.corners,
+                towards,
+                outside.scale,
+                flux,
+                softening=cell_size,
+            )
         )
-        self._table = AliasTable(rows, (self._receivers.count + 1, count))
 
     @property
     def table(self) -> AliasTable:
         return self._table
 
     def row(self, x: mi.Point3f, sample: mi.Float) -> Row:
-        return Row(self._receivers.index(x), mi.UInt32(0), mi.UInt32(0), mi.UInt32(1))
+        # As many candidates as of receivers that are nearest to the box.
+        return Row(self._receivers.index(x), mi.UInt32(0), mi.UInt32(0), mi.UInt32(3 * _CANDIDATES))
 
     def light(
         self, cell: mi.UInt32, bins: mi.UInt32, distance: mi.Float, active: mi.Bool

@@ -22,7 +22,7 @@ Symbols
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Hashable, Iterator
+from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import Any
 
@@ -102,7 +102,7 @@ class LampChoice:
         even = lamps.intensities.mean(axis=1, keepdims=True)
         intensities = (1 - _EVEN_PART) * lamps.intensities + _EVEN_PART * even
         weights = _table(lamps, intensities, low, side, shape)
-        self._table = AliasTable(weights, (int(shape.prod()), count))
+        self._table = AliasTable(on_device(mi.Float, weights), weights.shape)
         rows = np.zeros((count, 4 * _PACKETS))
         rows[:, :3], rows[:, 3] = lamps.centres, lamps.radii
         rows[:, 4:7], rows[:, 8:11] = intensities[:, :3], intensities[:, 3:]
@@ -212,8 +212,9 @@ def _table(
     low: NDArray[np.float64],
     side: NDArray[np.float64],
     shape: NDArray[np.int64],
-) -> Iterator[NDArray[np.float64]]:
-    """Weights [S, N] of the table, for one plane of cells after the other."""
+) -> NDArray[np.float64]:
+    """Weights [S, N] of the table, by planes of cells."""
+    found = []
     least = lamps.radii**2 / 4 + (side / 2) @ (side / 2) / 2
     for plane in range(shape[0]):
         y, z = np.meshgrid(*map(np.arange, shape[1:]), indexing="ij")
@@ -226,7 +227,8 @@ def _table(
         weights /= np.maximum(distance, least)
         # Where no lamp sends light all are chosen alike.
         weights[~weights.any(axis=1)] = 1
-        yield weights
+        found.append(weights / weights.max(axis=1, keepdims=True))
+    return np.concatenate(found)
 
 
 @dataclass
@@ -276,7 +278,8 @@ class EmitterSelection:
         # By the index of an emitter: its probability if it is no lamp.
         pmf = np.zeros(len(emitters))
         if self._has_others:
-            self._others = AliasTable([weights[None, others]], (1, len(others)))
+            found = on_device(mi.Float, weights[others] / weights.max())
+            self._others = AliasTable(found, (1, len(others)))
             self._other_indices = on_device(mi.UInt32, others)
             pmf[others] = _OTHERS * weights[others] / weights.sum()
         numbers = np.array(dr.reinterpret_array(mi.UInt32, scene.emitters_dr()))

@@ -15,7 +15,7 @@ Symbols
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Protocol
 
 import drjit as dr
@@ -23,14 +23,13 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lumitree.core.device import parameter, random_numbers
+from lumitree.core.device import concatenate, on_device, parameter, random_numbers
 from lumitree.core.octahedral import bin_of, direction_in_bin
 
 # Part of the samples of a cell that is by flux alone.
 _FLUX_FRACTION = 0.1
-# Receivers in each of their cells that a row is made from, and rows that are made at once.
+# Receivers in each of their cells that a row is made from.
 _POINTS_PER_CELL = 16
-_ROWS_AT_ONCE = 16
 # Levels beyond 0 at most; and the distances of receivers are multiplied by random numbers from 1 to
 # 1 + `_BLEND`, so that there is no seam between levels.
 MAX_SUMS, _BLEND = 4, 0.5
@@ -59,48 +58,40 @@ def cell_rows(
     scale: mi.Float,
     flux: NDArray[np.float64],
     softening: float = 0.0,
-) -> Iterator[NDArray[np.float64]]:
-    """Rows of an alias table: shares [.., C] of samples that each cell is to get.
+) -> tuple[mi.Float, tuple[int, int]]:
+    """Rows of an alias table: weights, flat, with which each cell is sampled.
 
     There is a row for each cell of receivers, and one more by flux alone.
 
     Args:
-        receivers: a multiple of 16 of their cells.
+        receivers: cells of receivers.
         corners: mi.Float [C × 2 × 3], lower and upper corner of each.
         scale: the largest intensity.
         flux: [C] of the cells, any unit.
         softening: distance that is added to the distance from a cell to a receiver, in square: for
             receivers among the cells. Others, at all distances, count alike with 0.
+
+    Returns:
+        The weights; and the number of rows and C.
     """
-    by_flux = flux / flux.sum()
     # Numbers on the device: lamps share the kernel.
-    count = parameter(mi.UInt32, len(flux))
+    count, rows = parameter(mi.UInt32, len(flux)), receivers.count
+    points = rows * _POINTS_PER_CELL
+    random, point = random_numbers(points, 0), dr.arange(mi.UInt32, points)
+    # One in each of 4 x 4 parts of the cell: light that is in one bin alone is not missed.
+    part = mi.Point2f(point % 4, point // 4 % 4)
+    sample = (part + mi.Point2f(random.next_float32(), random.next_float32())) / 4
+    x = receivers.point(point // _POINTS_PER_CELL, sample, random.next_float32())
+    cell = dr.arange(mi.UInt32, rows * len(flux))
+    random = random_numbers(rows * len(flux), 1)
     soft = parameter(mi.Float, softening**2) if softening else None
-
-    def square(first: int) -> mi.Float:
-        points = _ROWS_AT_ONCE * _POINTS_PER_CELL
-        rng = random_numbers(points, first)
-        # One in each of 4 x 4 parts of the cell: light that is in one bin alone is not missed.
-        point = dr.arange(mi.UInt32, points)
-        part = mi.Point2f(point % 4, point // 4 % 4)
-        sample = (part + mi.Point2f(rng.next_float32(), rng.next_float32())) / 4
-        row = parameter(mi.UInt32, first) + point // _POINTS_PER_CELL
-        x = receivers.point(row, sample, rng.next_float32())
-        cell = dr.arange(mi.UInt32, _ROWS_AT_ONCE * len(flux))
-        random = random_numbers(dr.width(cell), first)
-        found = _mean_square(
-            x, cell // count, cell % count, corners, intensity, scale, soft, random
-        )
-        dr.eval(found)
-        return found
-
-    # All are begun before the first is waited for: each waiting costs time of the processor.
-    for found in [square(first) for first in range(0, receivers.count, _ROWS_AT_ONCE)]:
-        light = np.sqrt(np.array(found, np.float64).reshape(_ROWS_AT_ONCE, -1))
-        total = light.sum(axis=1, keepdims=True)
-        shares = np.where(total > 0, light / np.maximum(total, 1e-300), by_flux)
-        yield (1 - _FLUX_FRACTION) * shares + _FLUX_FRACTION * by_flux
-    yield flux[None]
+    row, cell = cell // count, cell % count
+    light = dr.sqrt(_mean_square(x, row, cell, corners, intensity, scale, soft, random))
+    total = dr.gather(mi.Float, dr.block_sum(light, len(flux)), row)
+    by_flux = on_device(mi.Float, flux / flux.sum())
+    even = dr.gather(mi.Float, by_flux, cell)
+    light = dr.lerp(dr.select(total > 0, light / total, even), even, _FLUX_FRACTION)
+    return concatenate([light, by_flux]), (rows + 1, len(flux))
 
 
 @dr.syntax

@@ -87,7 +87,8 @@ class StraightLight:
         sent = weight * (np.maximum(middle_directions(self._bins) @ each.normal.T, 0) + _SPREAD / 4)
         rows = np.split(sent, first[1:], axis=1)
         # A part for each cluster, with a row for each bin of direction.
-        self._entries = AliasTable(rows, *(each.shape for each in rows))
+        weights = np.concatenate([each.ravel() for each in rows]) / sent.max()
+        self._entries = AliasTable(on_device(mi.Float, weights), *(each.shape for each in rows))
 
         flux = np.asarray(np.bincount(cluster, weight), np.float64)
         middles = np.stack([np.bincount(cluster, weight * x) for x in each.middle.T], axis=1)
@@ -108,8 +109,7 @@ class StraightLight:
         self._clusters = parameter(mi.UInt32, len(flux))
         self._around = ReceiverCells(half_extents, *RECEIVERS)
         scale = parameter(mi.Float, max(float(outside.max()), 1e-30))
-        rows = cell_rows(self._around, corners, self._towards, scale, flux)
-        self._table = AliasTable(rows, (self._around.count + 1, len(flux)))
+        self._table = AliasTable(*cell_rows(self._around, corners, self._towards, scale, flux))
 
     def _offset(self, x, cluster, active):
         """From the middle of a cluster to a receiver, and half its diagonal in square."""
