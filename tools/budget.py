@@ -32,7 +32,7 @@ LINES = {
 }
 FILES = 220
 OTHERS = {
-    "lines of tests": 43_450,
+    "lines of tests": 43_460,
     "lines of benchmarks": 10_000,
     "words of docs by hand": 45_000,
     "lines of README.md": 90,

@@ -85,12 +85,7 @@ PLACED = {
 @pytest.mark.parametrize("name", PLACED)
 def test_flux_is_that_of_the_surface_not_of_the_image(mi, tmp_path, name):
     uv, part = PLACED[name]
-    shape = quads(mi, tmp_path / "quad.ply", (quad([0, 0, 0]), uv))
-    pixels = tmp_path / "quarter.exr"
-    mi.Bitmap(QUARTER).write(str(pixels))
-    radiance = {"type": "bitmap", "filename": str(pixels), "raw": True, "filter_type": "nearest"}
-    lamp = load_luminaire({**shape, "emitter": {"type": "area", "radiance": radiance}})
-    watts = bare_watts(lamp)
+    watts = bare_watts(load_luminaire(image_lamp(mi, tmp_path, (quad([0, 0, 0]), uv))))
     # A part p of n paths carries light: a relative error of sqrt((1 - p) / p / n).
     assert watts == pytest.approx(np.pi * part, rel=4 * np.sqrt((1 - part) / part / 2**17) + 1e-5)
 
@@ -180,12 +175,29 @@ def lumitree_scene(described):
     return load_without_camera(described)[0]
 
 
-@pytest.mark.parametrize("integrator", ["path", "lumitree_path"])
-def test_emitter_sampling_finds_what_rays_find_by_chance(mi, tmp_path, integrator):
-    """Faces on one patch, which face down: `prb_basic` samples no emitters."""
+def patches(mi, tmp_path):
+    """Faces on one patch of an image, which face down."""
     down = np.array([1.0, -1.0, -1.0])
-    patches = [(quad([x, 0, 0]) * down, UNIT) for x in (-1, 0.2, 1.4)]
-    lamp = {"lamp": image_lamp(mi, tmp_path, *patches)}
+    corners = [(quad([x, 0, 0]) * down, UNIT) for x in (-1, 0.2, 1.4)]
+    return image_lamp(mi, tmp_path, *corners)
+
+
+def bent_normals(mi, tmp_path):
+    """A face whose shading normals lean outwards by 75 degrees."""
+    points = quad([0, 0, 0]) * [1, -1, -1]
+    normals = points / np.sqrt(0.5) + [0, 0, -np.tan(np.radians(15))]
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    arrays = {"vertices": points, "faces": [[0, 1, 2], [0, 2, 3]], "normals": normals}
+    make_mesh("bent", arrays).write_ply(str(tmp_path / "bent.ply"))
+    emitter = {"type": "area", "radiance": {"type": "rgb", "value": [3, 2, 1]}}
+    return {"type": "ply", "filename": str(tmp_path / "bent.ply"), "emitter": emitter}
+
+
+@pytest.mark.parametrize("integrator", ["path", "lumitree_path", "ptracer"])
+@pytest.mark.parametrize("make", [patches, bent_normals])
+def test_emitter_sampling_finds_what_rays_find_by_chance(mi, tmp_path, make, integrator):
+    """`prb_basic` samples no emitters."""
+    lamp = {"lamp": make(mi, tmp_path)}
     lumitree.register()
     chance, error = irradiance(mi, lamp, "prb_basic", 2048)
     found, other = irradiance(mi, lamp, integrator, 256)

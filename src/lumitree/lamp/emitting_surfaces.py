@@ -12,7 +12,8 @@ Symbols
               to it with equal areas
     density   of a point, per unit of area: pmf / area
 
-Area emitters with a texture are replaced by `lumitree_area`, which samples so, in scenes that are
+It also takes the PDF by solid angle from a mesh's shading normals, and not from its triangles.
+Such area emitters are replaced by `lumitree_area`, which samples as above, in scenes that are
 loaded.
 """
 
@@ -44,8 +45,9 @@ _AROUND, _FLOOR = 0.2, 0.05
 # Wavelengths at which it is evaluated in spectral variants, nm.
 _WAVELENGTHS = (450.0, 530.0, 590.0, 650.0)
 _PLUGIN = "lumitree_area"
-# Radiance that is everywhere the same. Mitsuba's own emitter samples such surfaces by area.
+# Radiance that is everywhere the same, and shapes whose shading normal is the true one.
 _CONSTANT = ("d65", "irregular", "regular", "srgb", "uniform")
+_FLAT = ("cube", "cylinder", "disk", "rectangle", "sphere")
 # The class of the emitter in each variant in which it is registered.
 _classes: dict[str | None, type] = {}
 
@@ -243,6 +245,11 @@ def four_numbers(sample: mi.Point2f) -> tuple[mi.Float, mi.Float, mi.Float, mi.F
     return a, b, c, d
 
 
+def _outwards(si: mi.SurfaceInteraction3f) -> mi.Vector3f:
+    """The true normal, on the side of the shading normal: of mirrored shapes it is not."""
+    return mi.Vector3f(dr.mulsign(si.n, dr.dot(si.n, si.sh_frame.n)))
+
+
 def _areas(shape: mi.Shape) -> NDArray[np.float64]:
     """Areas of the triangles [F] of a mesh; [1] of a primitive."""
     if not isinstance(shape, mi.Mesh):
@@ -251,20 +258,31 @@ def _areas(shape: mi.Shape) -> NDArray[np.float64]:
     return np.linalg.norm(np.cross(*np.moveaxis(corners[:, 1:] - corners[:, :1], 1, 0)), axis=1) / 2
 
 
-def replace_textured_areas(state: mi.parser.ParserState) -> None:
-    """Let area emitters with a texture in a mi.parser.ParserState be emitters `lumitree_area`."""
-    for node in state.nodes:
+def replace_areas(state: mi.parser.ParserState) -> None:
+    """Let emitters `area` that Mitsuba samples wrongly be `lumitree_area`.
+
+    They have a texture, or their mesh may have shading normals.
+    """
+    shapes = [node.props for node in state.nodes if node.type == mi.ObjectType.Shape]
+    smooth = {
+        index
+        for props in shapes
+        if props.plugin_name() not in _FLAT and not props.get("face_normals", False)
+        for index in referred(props).values()
+    }
+    for number, node in enumerate(state.nodes):
         props = node.props
         if node.type == mi.ObjectType.Emitter and props.plugin_name() == "area":
             textures = (state.nodes[index].props for index in referred(props).values())
-            if any(each.plugin_name() not in _CONSTANT for each in textures):
+            varies = any(each.plugin_name() not in _CONSTANT for each in textures)
+            if varies or number in smooth:
                 if mi.variant() not in _classes:
                     _classes[mi.variant()] = _emitter_class()
                     mi.register_emitter(_PLUGIN, _classes[mi.variant()])
                 props.set_plugin_name(_PLUGIN)
 
 
-def complete_textured_areas(scene: mi.Scene) -> None:
+def complete_areas(scene: mi.Scene) -> None:
     """Make the tables of a scene's emitters `lumitree_area`, before a kernel uses them."""
     kind = _classes.get(mi.variant())
     for shape in scene.shapes():
@@ -289,7 +307,9 @@ def _emitter_class() -> type:
             self._surfaces = EmittingSurfaces([shape], lambda si, _: self.eval(si))
 
         def eval(self, si, active=True):
+            # On the front by both normals, as light paths leave it.
             front = mi.Frame3f.cos_theta(si.wi) > 0
+            front &= dr.dot(si.to_world(si.wi), _outwards(si)) > 0
             return dr.select(front, self._radiance.eval(si, active & front), 0)
 
         def sample_direction(self, it, sample, active=True):
@@ -323,10 +343,12 @@ def _emitter_class() -> type:
                 return dr.zeros(mi.Ray3f), mi.Spectrum(0)
             point = self._surfaces.sample(sample2, active)
             si, local = point.si, mi.warp.square_to_cosine_hemisphere(sample3)
-            si.wi, si.time = local, time
+            # About the true normal, and on the side of the shading normal.
+            direction = mi.Frame3f(_outwards(si)).to_world(local)
+            si.wi, si.time = si.to_local(direction), time
             si.wavelengths, weight = self.sample_wavelengths(si, sample1, active)
-            weight = dr.select(point.density > 0, weight * dr.pi / point.density, 0)
-            return si.spawn_ray(si.to_world(local)), weight
+            emits = (point.density > 0) & (mi.Frame3f.cos_theta(si.wi) > 0)
+            return si.spawn_ray(direction), dr.select(emits, weight * dr.pi / point.density, 0)
 
         def sample_position(self, time, sample, active=True):
             # For light tracing, where it connects the surface with the camera.
