@@ -6,7 +6,7 @@ import drjit as dr
 import mitsuba as mi
 
 from lumitree.asset.asset import Asset
-from lumitree.asset.light_field import LightField
+from lumitree.asset.light_field import LightField, unpack
 from lumitree.core.device import shared
 from lumitree.octree.field import COARSE_DEPTH, Field, coarsened, shared_field
 from lumitree.rendering.device_light import DeviceLight, InsideLight
@@ -85,7 +85,12 @@ class DeviceAsset:
 
         def make() -> DeviceLight:
             asset, field = self.asset, self._light_field(bent)
-            return DeviceLight(field, asset.frame.half_extents, asset.light_factors, levels=levels)
+            rest = field, asset.frame.half_extents, asset.light_factors
+            light, whole = (
+                unpack(each.intensity).sum() for each in (field, self._light_field(False))
+            )
+            minor = bool(light < whole / 2)
+            return DeviceLight(*rest, levels=levels, minor=minor)
 
         return shared(self.asset, ("light", bent, levels), make)
 

@@ -349,6 +349,8 @@ class DeviceLight(CellLight):
     Args:
         factors: [3] factors on R, G and B, not all 0.
         levels: whether there are levels beyond 0. Without them, the table is small.
+        minor: whether it is the smaller part of the lamp's light: its points are chosen of half as
+            many candidates.
 
     Attributes:
         scale: mi.Float, unit of intensities.
@@ -367,8 +369,10 @@ class DeviceLight(CellLight):
         factors: tuple[float, float, float] = (1.0, 1.0, 1.0),
         *,
         levels: bool = False,
+        minor: bool = False,
     ) -> None:
         super().__init__(half_extents, field.resolution)
+        self._minor = minor
         self._half_extents, self._receivers = half_extents, RECEIVERS if levels else _ROUGH
         bins = field.dense(luminance(unpack(field.intensity)))
         flux = np.asarray(bins * solid_angles(field.resolution), np.float64)
@@ -426,7 +430,8 @@ class DeviceLight(CellLight):
             found, part = self._rows(cells, first, flux)
             rows.append(found)
             parts.append(part)
-            records.append([first, farthest, nearest, _FAR_CANDIDATES if level else _CANDIDATES])
+            candidates = (_FAR_CANDIDATES if level else _CANDIDATES) // (2 if self._minor else 1)
+            records.append([first, farthest, nearest, candidates])
             codes = morton(self.levels[level])
             parents.append(first + np.searchsorted(codes, morton(self.levels[0] >> level)))
         return _Tables(
