@@ -365,6 +365,11 @@ def test_wrong_names_of_layers_are_refused_before_any_work(tmp_path, capsys, opt
     assert "'a.png' does not end in .exr" in capsys.readouterr().err
 
 
+def test_a_gain_by_a_pattern_is_of_all_layers_that_match(mi):
+    layers = {name: np.full((2, 2, 3), 1, np.float32) for name in ("hall", "hall_2", "room")}
+    assert lumitree.mix(layers, {"hall*": 0.5}).pixels == pytest.approx(2.0)
+
+
 @pytest.mark.parametrize("gain", [1, 1e6])
 def test_mixtures_beyond_single_precision_are_refused(mi, gain):
     bright = np.full((2, 2, 3), 2e38, np.float32)

@@ -658,8 +658,8 @@ COMMANDS: dict[str, Command] = {
             ),
             "gain": Option(
                 TEXTS,
-                "LAYER=R,G,B: factors on the red, green and blue light of a layer, or one number "
-                "for all; may be repeated.",
+                "LAYER=R,G,B: factors on the red, green and blue light of a layer, or of all that "
+                "match a pattern such as 'hall*', or one number for all; may be repeated.",
             ),
             "output": dataclasses.replace(
                 _IMAGE,

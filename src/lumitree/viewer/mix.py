@@ -3,6 +3,7 @@
 import dataclasses
 import warnings
 from collections.abc import Mapping
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 import numpy as np
@@ -168,8 +169,8 @@ def mix(
         layers: the path of a file that `RenderResult.save_layers` has written; a `RenderResult`
             with layers; or arrays [height, width, 3] of linear radiance by name, whose emitters
             are not clamped before pixels are averaged. Negative radiance counts as 0.
-        gain: by name of the layer, factors [3] on R, G and B of its light, or one number for all;
-            0 to 10⁶. Default: 1.
+        gain: by name of the layer, or by a pattern with * and ? as `hall*`, factors [3] on R, G
+            and B of its light, or one number for all; 0 to 10⁶. Default: 1.
         exposure: of `png`, as for `render`. Automatic is by the layers without gains, so that a
             dimmed lamp looks dimmed.
         white_balance: of `png`, as for `render`. Automatic is by the layers without gains.
@@ -185,15 +186,17 @@ def mix(
             of a layer that there is not; or `exposure` or `white_balance` is out of range.
     """
     settings = PhotoSettings(exposure=exposure, white_balance=white_balance, view=view, bloom=bloom)
-    factors = {name: check_gain(each) for name, each in (gain or {}).items()}
-    watch = Stopwatch()
+    watch, factors = Stopwatch(), dict[str, tuple[float, float, float]]()
     with watch.stage("mix"):
         given = ImageLayers.of(layers)
-        for name in factors.keys() - given.light.keys():
-            raise LumitreeError(
-                f"{given.what} has no layer {shown(repr(name), 100)}; it has "
-                f"{shown(', '.join(sorted(given.light)), 300)}"
-            )
+        for name, each in (gain or {}).items():
+            names = [layer for layer in given.light if layer == name or fnmatchcase(layer, name)]
+            if not names:
+                raise LumitreeError(
+                    f"{given.what} has no layer {shown(repr(name), 100)}; it has "
+                    f"{shown(', '.join(sorted(given.light)), 300)}"
+                )
+            factors |= dict.fromkeys(names, check_gain(each))
         pixels, highlights = given.mixed(factors)
         if not (np.abs(pixels) <= _MAX_RADIANCE).all():
             raise LumitreeError(
