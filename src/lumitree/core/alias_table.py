@@ -67,30 +67,30 @@ class AliasTable:
         scale = mi.Float64(count) / total
         # The next entry to fill, the one that fills, whether it is known to be of that kind, q - 1
         # less all that it has filled, and the threshold and the share of the entry before it.
-        light, heavy, known, spare = mi.UInt32(0), mi.UInt32(0), mi.Bool(False), mi.Float64(0)
+        small, large, known, spare = mi.UInt32(0), mi.UInt32(0), mi.Bool(False), mi.Float64(0)
         before, left, got = mi.UInt32(count), mi.Float64(1), mi.Float64(0)
-        while dr.hint(((light < count) | (spare < 0)) & (heavy < count), exclude=[words]):
-            lights, heavies = (
+        while dr.hint(((small < count) | (spare < 0)) & (large < count), exclude=[words]):
+            small_q, large_q = (
                 scale * mi.Float64(dr.gather(mi.Float, weights, first + each, each < count))
-                for each in (light, heavy)
+                for each in (small, large)
             )
-            found, spent = ~known & (heavies >= 1), known & (spare < 0)
-            turn = known & ~spent & (light < count)
-            fills = turn & (lights < 1)
-            threshold = dr.select(found, left, dr.select(fills, lights, 1))
+            found, spent = ~known & (large_q >= 1), known & (spare < 0)
+            turn = known & ~spent & (small < count)
+            fills = turn & (small_q < 1)
+            threshold = dr.select(found, left, dr.select(fills, small_q, 1))
             threshold = dr.clip(-dr.floor(-threshold * steps), 1, steps) / steps
             share = threshold + dr.select(fills, 0, got)
-            at = dr.select(found, before, dr.select(fills, light, heavy))
-            write(at, threshold, heavy, share, fills | spent | (found & (before < count)))
+            at = dr.select(found, before, dr.select(fills, small, large))
+            write(at, threshold, large, share, fills | spent | (found & (before < count)))
             filled = dr.select(found | fills, 1 - threshold, 0)
             got = filled + dr.select(found, 0, got)
-            spare += dr.select(found, heavies - 1, dr.select(fills, lights - 1, 0))
+            spare += dr.select(found, large_q - 1, dr.select(fills, small_q - 1, 0))
             left = dr.select(spent, 1 + spare, left)
-            before = dr.select(spent, heavy, before)
-            light += dr.select(turn, mi.UInt32(1), 0)
-            heavy += dr.select(spent | ~(known | found), mi.UInt32(1), 0)
+            before = dr.select(spent, large, before)
+            small += dr.select(turn, mi.UInt32(1), 0)
+            large += dr.select(spent | ~(known | found), mi.UInt32(1), 0)
             known = (known | found) & ~spent
-        write(heavy, whole, nobody, 1 + got, known & (heavy < count))
+        write(large, whole, nobody, 1 + got, known & (large < count))
         dr.eval(words)
 
     def sample(
