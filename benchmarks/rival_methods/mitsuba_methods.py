@@ -1,6 +1,7 @@
 """The methods of Mitsuba: the explicit lamp, simpler lamps of the same flux, and the baked lamp."""
 
 import dataclasses
+import gc
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -29,26 +30,23 @@ class MitsubaRenderer:
 
     def __init__(self, make: Callable[[], Any], integrator: str) -> None:
         self._make, self._integrator = make, integrator
-        self._scene: Any = None
 
     def images(self, samples: int, seeds: Sequence[int]) -> Iterator[TimedImage]:
         """As `Renderer.images`."""
         from lumitree.rendering.passes import Budget, render_passes
 
-        is_new = self._scene is None
-        if is_new:
-            self._scene = self._make()
-        described: dict[str, Any] = {"type": self._integrator, "max_depth": PATH_DEPTH}
+        # Kernels have the code of all plugins that exist, so other methods' scenes may not.
+        gc.collect()
+        scene, described = self._make(), {"type": self._integrator, "max_depth": PATH_DEPTH}
         if self._integrator == "ptracer":
             # A baked lamp has no points that could be connected to the camera.
             described["hide_emitters"] = True
         integrator = load_mitsuba().load_dict(described)
-        if is_new:
-            # Kernels are compiled first.
-            render_passes(self._scene, integrator, Budget(samples), seed=seeds[0])
+        # Kernels are compiled first.
+        render_passes(scene, integrator, Budget(samples), seed=seeds[0])
         for seed in seeds:
             clock = Clock()
-            image = render_passes(self._scene, integrator, Budget(samples), seed=seed).radiance
+            image = render_passes(scene, integrator, Budget(samples), seed=seed).radiance
             yield TimedImage(image, clock.read())
 
 
