@@ -184,13 +184,13 @@ def patches(mi, tmp_path):
 
 def bent_normals(mi, tmp_path):
     """A face whose shading normals lean outwards by 75 degrees."""
+    lamp = image_lamp(mi, tmp_path, (quad([0, 0, 0]), UNIT))
     points = quad([0, 0, 0]) * [1, -1, -1]
     normals = points / np.sqrt(0.5) + [0, 0, -np.tan(np.radians(15))]
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     arrays = {"vertices": points, "faces": [[0, 1, 2], [0, 2, 3]], "normals": normals}
-    make_mesh("bent", arrays).write_ply(str(tmp_path / "bent.ply"))
-    emitter = {"type": "area", "radiance": {"type": "rgb", "value": [3, 2, 1]}}
-    return {"type": "ply", "filename": str(tmp_path / "bent.ply"), "emitter": emitter}
+    make_mesh("bent", arrays | {"texcoords": UNIT}).write_ply(lamp["filename"])
+    return lamp | {"face_normals": False}
 
 
 @pytest.mark.parametrize("integrator", ["path", "lumitree_path", "ptracer"])

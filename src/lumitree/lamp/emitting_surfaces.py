@@ -12,8 +12,7 @@ Symbols
               to it with equal areas
     density   of a point, per unit of area: pmf / area
 
-It also takes the PDF by solid angle from a mesh's shading normals, and not from its triangles.
-Such area emitters are replaced by `lumitree_area`, which samples as above, in scenes that are
+Area emitters with a texture are replaced by `lumitree_area`, which samples so, in scenes that are
 loaded.
 """
 
@@ -45,9 +44,9 @@ _AROUND, _FLOOR = 0.2, 0.05
 # Wavelengths at which it is evaluated in spectral variants, nm.
 _WAVELENGTHS = (450.0, 530.0, 590.0, 650.0)
 _PLUGIN = "lumitree_area"
-# Radiance that is everywhere the same, and shapes whose shading normal is the true one.
+# Radiance that is everywhere the same. Mitsuba's own emitter samples such surfaces by area, and
+# takes the PDF by solid angle from shading normals: one for each of many filaments would take long.
 _CONSTANT = ("d65", "irregular", "regular", "srgb", "uniform")
-_FLAT = ("cube", "cylinder", "disk", "rectangle", "sphere")
 # The class of the emitter in each variant in which it is registered.
 _classes: dict[str | None, type] = {}
 
@@ -258,31 +257,20 @@ def _areas(shape: mi.Shape) -> NDArray[np.float64]:
     return np.linalg.norm(np.cross(*np.moveaxis(corners[:, 1:] - corners[:, :1], 1, 0)), axis=1) / 2
 
 
-def replace_areas(state: mi.parser.ParserState) -> None:
-    """Let emitters `area` that Mitsuba samples wrongly be `lumitree_area`.
-
-    They have a texture, or their mesh may have shading normals.
-    """
-    shapes = [node.props for node in state.nodes if node.type == mi.ObjectType.Shape]
-    smooth = {
-        index
-        for props in shapes
-        if props.plugin_name() not in _FLAT and not props.get("face_normals", False)
-        for index in referred(props).values()
-    }
-    for number, node in enumerate(state.nodes):
+def replace_textured_areas(state: mi.parser.ParserState) -> None:
+    """Let area emitters with a texture in a mi.parser.ParserState be emitters `lumitree_area`."""
+    for node in state.nodes:
         props = node.props
         if node.type == mi.ObjectType.Emitter and props.plugin_name() == "area":
             textures = (state.nodes[index].props for index in referred(props).values())
-            varies = any(each.plugin_name() not in _CONSTANT for each in textures)
-            if varies or number in smooth:
+            if any(each.plugin_name() not in _CONSTANT for each in textures):
                 if mi.variant() not in _classes:
                     _classes[mi.variant()] = _emitter_class()
                     mi.register_emitter(_PLUGIN, _classes[mi.variant()])
                 props.set_plugin_name(_PLUGIN)
 
 
-def complete_areas(scene: mi.Scene) -> None:
+def complete_textured_areas(scene: mi.Scene) -> None:
     """Make the tables of a scene's emitters `lumitree_area`, before a kernel uses them."""
     kind = _classes.get(mi.variant())
     for shape in scene.shapes():

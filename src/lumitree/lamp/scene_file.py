@@ -347,15 +347,15 @@ class SceneFile:
         lamps = (node.props.plugin_name() == "lumitree_proxy" for node in self._used())
         self._config.parallel = not any(lamps)
         # Creating a scene clears the nodes.
-        from lumitree.lamp.emitting_surfaces import complete_areas, replace_areas
+        from lumitree.lamp.emitting_surfaces import complete_textured_areas, replace_textured_areas
 
         state = mi.parser.ParserState(self._state)
-        replace_areas(state)
+        replace_textured_areas(state)
         with self._searching(), self._readable(), second_thread():
             scene = mi.parser.instantiate(self._config, state)
             if not isinstance(scene, mi.Scene):
                 raise LumitreeError(f"{self._name} does not hold a <scene>; found {type(scene)}")
-            complete_areas(scene)
+            complete_textured_areas(scene)
         transforms_as_parameters(scene.shapes())
         if has_media:
             keep_clear_channels(scene)
