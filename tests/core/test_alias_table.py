@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-from lumitree.core.device import on_device
-
 
 def rows_of_weights():
     random = np.random.default_rng(3)
@@ -23,7 +21,7 @@ def test_a_row_of_any_length_has_the_probabilities_of_its_weights(mi, count):
     from lumitree.core.alias_table import AliasTable
 
     weights = np.random.default_rng(count).exponential(1, count) ** 3
-    table = AliasTable(on_device(mi.Float, weights), (1, count))
+    table = AliasTable.of(weights[None])
     found = table.probability(mi.UInt32(0), mi.UInt32(np.arange(count)))
     # Thresholds have 22 bits or more, and each is rounded up.
     expected = weights / weights.sum()
@@ -37,10 +35,7 @@ def test_samples_have_the_probabilities_that_the_table_states(mi):
 
     weights = np.stack(list(rows_of_weights().values()))
     short = weights[:2, :7]
-    table, samples = (
-        AliasTable(on_device(mi.Float, np.append(weights, short)), weights.shape, short.shape),
-        1 << 20,
-    )
+    table, samples = AliasTable.of(weights, short), 1 << 20
     sample = mi.PCG32(samples, 5).next_float32()
     rows = [(None, *each) for each in enumerate(weights)]
     rows += [

@@ -57,9 +57,9 @@ def scene_with(mi, asset, **options):
     )
 
 
-def render(mi, scene, kind="lumitree_path", *, seed=1, params=None, **options):
+def render(mi, scene, kind="lumitree_path", *, seed=1, spp=16, params=None, **options):
     integrator = mi.load_dict({"type": kind, "max_depth": 4})
-    return mi.render(scene, params, integrator=integrator, spp=16, seed=seed, **options)
+    return mi.render(scene, params, integrator=integrator, spp=spp, seed=seed, **options)
 
 
 @pytest.mark.parametrize(

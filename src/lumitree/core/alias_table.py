@@ -9,6 +9,7 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from numpy.typing import NDArray
 
 from lumitree.core.device import on_device, parameter
 
@@ -41,6 +42,13 @@ class AliasTable:
             on_device(mi.UInt32, each) for each in (starts[part] + row * counts[part], counts[part])
         )
         self._fill(weights, first, count)
+
+    @classmethod
+    def of(cls, *parts: NDArray[np.float64]) -> AliasTable:
+        """A table of arrays [M, N], whose rows are brought into the range of single precision."""
+        scaled = [(each / each.max(axis=1, keepdims=True)).ravel() for each in parts]
+        weights = on_device(mi.Float, np.concatenate(scaled))
+        return cls(weights, *(each.shape for each in parts))
 
     @dr.syntax
     def _fill(self, weights: mi.Float, first: mi.UInt32, count: mi.UInt32) -> None:

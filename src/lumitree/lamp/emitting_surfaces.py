@@ -122,7 +122,7 @@ class EmittingSurfaces:
         self.power = float(power.sum())
         # Black shapes are sampled too, and what they emit is 0.
         used = weight if weight.sum() > 0 else area
-        self._table = AliasTable(on_device(mi.Float, used / used.max()), (1, len(area)))
+        self._table = AliasTable.of(used[None])
         self._area = on_device(mi.Float, area)
 
     def sample(self, sample: mi.Point2f, active: mi.Bool | bool = True) -> SurfacePoint:

@@ -86,10 +86,7 @@ class DeviceAsset:
         def make() -> DeviceLight:
             asset, field = self.asset, self._light_field(bent)
             rest = field, asset.frame.half_extents, asset.light_factors
-            light, whole = (
-                unpack(each.intensity).sum() for each in (field, self._light_field(False))
-            )
-            minor = bool(light < whole / 2)
+            minor = bent and 2 * _brightness(field) < _brightness(self._light_field(False))
             return DeviceLight(*rest, levels=levels, minor=minor)
 
         return shared(self.asset, ("light", bent, levels), make)
@@ -171,3 +168,8 @@ class DeviceAsset:
             zero = dr.zeros(mi.Vector3f, dr.width(choice))
             return mi.Point3f(zero), mi.warp.square_to_uniform_sphere(sample1), mi.Color3f(zero)
         return self.field_rays.sample_ray(choice, sample1, sample2, active)
+
+
+def _brightness(field: LightField) -> float:
+    """Sum of all intensities of a light field, in units of its scale."""
+    return float(unpack(field.intensity).sum())

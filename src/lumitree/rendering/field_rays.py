@@ -50,8 +50,7 @@ class FieldRays:
         strength = np.array(dr.block_sum(dr.sum(emission), _DIRECTIONS), np.float64)
         strength *= area * -np.expm1(-density * mean_length)
         strength += _EVEN_PART * strength.mean() + 1e-300
-        weights = on_device(mi.Float, strength / strength.max())
-        self._table = AliasTable(weights, (1, len(strength)))
+        self._table = AliasTable.of(strength[None])
         # Two packets of four numbers: middle and density; half of the sides.
         packets = (lower + upper) / 2, density, size / 2, np.zeros(len(size))
         self._leaves = on_device(mi.Float, np.column_stack(packets))

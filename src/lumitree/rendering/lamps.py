@@ -102,7 +102,7 @@ class LampChoice:
         even = lamps.intensities.mean(axis=1, keepdims=True)
         intensities = (1 - _EVEN_PART) * lamps.intensities + _EVEN_PART * even
         weights = _table(lamps, intensities, low, side, shape)
-        self._table = AliasTable(on_device(mi.Float, weights), weights.shape)
+        self._table = AliasTable.of(weights)
         rows = np.zeros((count, 4 * _PACKETS))
         rows[:, :3], rows[:, 3] = lamps.centres, lamps.radii
         rows[:, 4:7], rows[:, 8:11] = intensities[:, :3], intensities[:, 3:]
@@ -227,7 +227,7 @@ def _table(
         weights /= np.maximum(distance, least)
         # Where no lamp sends light all are chosen alike.
         weights[~weights.any(axis=1)] = 1
-        found.append(weights / weights.max(axis=1, keepdims=True))
+        found.append(weights)
     return np.concatenate(found)
 
 
@@ -278,8 +278,7 @@ class EmitterSelection:
         # By the index of an emitter: its probability if it is no lamp.
         pmf = np.zeros(len(emitters))
         if self._has_others:
-            found = on_device(mi.Float, weights[others] / weights.max())
-            self._others = AliasTable(found, (1, len(others)))
+            self._others = AliasTable.of(weights[None, others])
             self._other_indices = on_device(mi.UInt32, others)
             pmf[others] = _OTHERS * weights[others] / weights.sum()
         numbers = np.array(dr.reinterpret_array(mi.UInt32, scene.emitters_dr()))

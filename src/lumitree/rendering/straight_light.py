@@ -87,8 +87,7 @@ class StraightLight:
         sent = weight * (np.maximum(middle_directions(self._bins) @ each.normal.T, 0) + _SPREAD / 4)
         rows = np.split(sent, first[1:], axis=1)
         # A part for each cluster, with a row for each bin of direction.
-        weights = np.concatenate([each.ravel() for each in rows]) / sent.max()
-        self._entries = AliasTable(on_device(mi.Float, weights), *(each.shape for each in rows))
+        self._entries = AliasTable.of(*rows)
 
         flux = np.asarray(np.bincount(cluster, weight), np.float64)
         middles = np.stack([np.bincount(cluster, weight * x) for x in each.middle.T], axis=1)
